@@ -1,0 +1,5 @@
+"""`python -m gw_cli`."""
+
+from gw_cli.app import main
+
+main()

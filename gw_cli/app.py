@@ -1,0 +1,46 @@
+"""The command table, in the order of the pipeline.
+
+Command modules are light: what is heavy (torch, open3d, …) is imported when a command runs, so that
+`gw --help` answers at once.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+
+import typer
+
+# Modules of this package, each with `register(app)`; the order is the one `gw --help` shows.
+COMMANDS: tuple[str, ...] = (
+    "register_template",
+    "canonicalize",
+    "segment_layers",
+    "bake_maps",
+    "train",
+    "export_garment",
+    "tryon",
+    "render",
+    "evaluate",
+    "synth",
+    "demo",
+    "status",
+    "verify",
+)
+
+app = typer.Typer(
+    name="gw",
+    help="Learn a body and its garments from multi-view video; wear them elsewhere.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+for _name in COMMANDS:
+    if importlib.util.find_spec(f"gw_cli.{_name}"):
+        importlib.import_module(f"gw_cli.{_name}").register(app)
+
+
+def main() -> None:
+    """Entry point of the command `gw`."""
+    app()

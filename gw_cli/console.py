@@ -1,0 +1,181 @@
+"""People or JSON lines, and exit codes: decided here for every command.
+
+People's text goes to stderr. With `--json`, stdout carries one JSON object a line and the last one is
+`{"result": {...}}`. Errors are three lines: what is wrong, where, what to do.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import errno
+import functools
+import json
+import sys
+import tempfile
+import time
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NoReturn, TypeVar
+
+import typer
+
+from stages.shared.errors import GwError, StorageFailure
+from stages.shared.plan import Plan
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+_PROGRESS_SECONDS_TERMINAL = 0.2
+_PROGRESS_SECONDS_PIPE = 30.0
+
+
+class Console:
+    """Listens to a stage (`stages.shared.report.Report`) and prints for people or for programs."""
+
+    def __init__(self, as_json: bool = False) -> None:
+        self.as_json = as_json
+        self._terminal = sys.stderr.isatty()
+        self._step = ""
+        self._step_started = time.monotonic()
+        self._last_progress = 0.0
+        self._line_open = False
+
+    def step(self, text: str) -> None:
+        self._step, self._step_started, self._last_progress = text, time.monotonic(), 0.0
+        self._emit({"event": "step", "text": text}, f"  {text} …")
+
+    def progress(self, done: int, total: int, **numbers: float) -> None:
+        now = time.monotonic()
+        pause = _PROGRESS_SECONDS_TERMINAL if self._terminal else _PROGRESS_SECONDS_PIPE
+        if now - (self._last_progress or self._step_started) < pause and done < total:
+            return
+        self._last_progress = now
+        elapsed = now - self._step_started
+        rate = done / elapsed if elapsed > 0 else 0.0
+        eta = (total - done) / rate if rate > 0 else float("nan")
+        shown = "  ".join(f"{name} {value:.4g}" for name, value in numbers.items())
+        text = f"  {self._step} {done}/{total}  {rate:.2f}/s  left {eta:.0f} s  {shown}".rstrip()
+        event = {"event": "progress", "step": self._step, "done": done, "total": total, "rate": rate, **numbers}
+        if self._terminal and not self.as_json:
+            sys.stderr.write("\r\x1b[2K" + text)
+            sys.stderr.flush()
+            self._line_open = True
+        else:
+            self._emit(event, text)
+
+    def say(self, text: str) -> None:
+        self._emit({"event": "say", "text": text}, f"  {text}")
+
+    def warn(self, text: str) -> None:
+        self._emit({"event": "warning", "text": text}, f"  warning: {text}")
+
+    def plan(self, plan: Plan) -> None:
+        """Print what `--dry-run` found; nothing was written."""
+        if self.as_json:
+            self.result({"dry_run": True, **dataclasses.asdict(plan)})
+            return
+        self._people("dry run: nothing is written")
+        for title, rows in (("reads", plan.inputs), ("writes", plan.outputs)):
+            for row in rows:
+                self._people(f"  {title:6} {row}")
+        for name, value in plan.config.items():
+            self._people(f"  {name} = {value}")
+        cost = {
+            "time": None if plan.seconds is None else f"{plan.seconds:.0f} s",
+            "memory": None if plan.memory_bytes is None else f"{plan.memory_bytes / 2**20:.0f} MiB",
+            "disk": None if plan.disk_bytes is None else f"{plan.disk_bytes / 2**20:.1f} MiB",
+        }
+        self._people("  estimated " + ", ".join(f"{name} {text or 'unknown'}" for name, text in cost.items()))
+
+    def result(self, result: dict[str, Any], next_command: str | None = None) -> None:
+        """Print the result of a command, and the command to type next."""
+        if self.as_json:
+            sys.stdout.write(json.dumps({"result": result}, allow_nan=False, default=_plain) + "\n")
+            sys.stdout.flush()
+            return
+        for name, value in result.items():
+            self._people(f"  {name}: {_readable(value)}")
+        if next_command:
+            self._people(f"next: {next_command}")
+
+    def _emit(self, event: dict[str, Any], text: str) -> None:
+        if self.as_json:
+            sys.stdout.write(json.dumps(event, default=_plain) + "\n")
+            sys.stdout.flush()
+        else:
+            self._people(text)
+
+    def _people(self, text: str) -> None:
+        if self._line_open:
+            sys.stderr.write("\n")
+            self._line_open = False
+        sys.stderr.write(text + "\n")
+        sys.stderr.flush()
+
+
+def _plain(value: Any) -> Any:
+    """What json cannot write by itself: paths, dataclasses, numpy scalars."""
+    if isinstance(value, Path):
+        return str(value)
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return dataclasses.asdict(value)
+    if hasattr(value, "item"):
+        return value.item()
+    raise TypeError(f"{type(value).__name__} is not JSON")
+
+
+def _readable(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, dict):
+        return ", ".join(f"{name} {_readable(item)}" for name, item in value.items())
+    if isinstance(value, list | tuple):
+        return ", ".join(_readable(item) for item in value)
+    return str(value)
+
+
+def fail(error: GwError) -> NoReturn:
+    """Print the three lines and leave with the error's exit code."""
+    sys.stderr.write(f"error: {error.what}\n where: {error.where}\n   fix: {error.fix}\n")
+    sys.stderr.flush()
+    raise typer.Exit(error.exit_code)
+
+
+def command(function: Command) -> Command:
+    """Turn what a command raises into messages and exit codes (0 2 65 66 70 74 75 130)."""
+
+    @functools.wraps(function)
+    def guarded(*arguments: Any, **options: Any) -> Any:
+        try:
+            return function(*arguments, **options)
+        except GwError as error:
+            fail(error)
+        except KeyboardInterrupt:
+            sys.stderr.write("interrupted; finished artifacts are kept, the same command goes on from here\n")
+            raise typer.Exit(130) from None
+        except OSError as error:
+            fail(_storage_failure(error))
+        except (typer.Exit, typer.Abort):
+            raise
+        except Exception as error:
+            fail(_our_bug(error))
+
+    return guarded  # type: ignore[return-value]
+
+
+def _storage_failure(error: OSError) -> GwError:
+    where = str(error.filename or "the file system")
+    if error.errno == errno.ENOSPC:
+        return StorageFailure("The disk is full.", where, "Free some space and run the same command again.")
+    reason = error.strerror or str(error)
+    return StorageFailure(f"Reading or writing failed: {reason}.", where, "Check the path and its permissions.")
+
+
+def _our_bug(error: Exception) -> GwError:
+    with tempfile.NamedTemporaryFile("w", prefix="gw-report-", suffix=".txt", delete=False) as report:
+        report.write(" ".join(sys.argv) + "\n" + "".join(traceback.format_exception(error)))
+    return GwError(
+        f"A bug in gw: {type(error).__name__}: {error}",
+        report.name,
+        "Please file this report; nothing half-written was left behind.",
+    )

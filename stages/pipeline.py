@@ -1,0 +1,16 @@
+"""The stages whose artifacts live in a subject's workspace, in order: the one place that says it."""
+
+from __future__ import annotations
+
+from stages.shared.artifacts.spec import StageSpec
+
+REGISTER_TEMPLATE = StageSpec("register-template", "gw register-template CAPTURE -o SUBJECT", ())
+CANONICALIZE = StageSpec("canonicalize", "gw canonicalize SUBJECT", ("register-template",))
+SEGMENT_LAYERS = StageSpec(
+    "segment-layers", "gw segment-layers SUBJECT", ("register-template", "canonicalize")
+)
+BAKE_MAPS = StageSpec("bake-maps", "gw bake-maps SUBJECT", ("canonicalize", "segment-layers"))
+TRAIN = StageSpec("train", "gw train SUBJECT", ("register-template", "bake-maps"))
+
+PIPELINE: tuple[StageSpec, ...] = (REGISTER_TEMPLATE, CANONICALIZE, SEGMENT_LAYERS, BAKE_MAPS, TRAIN)
+BY_NAME = {spec.name: spec for spec in PIPELINE}

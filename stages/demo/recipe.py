@@ -1,0 +1,168 @@
+"""The demo as a list of commands: what a user would type, in order, with what each leaves to look at."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from stages.demo.config import DemoConfig
+
+
+@dataclass(frozen=True)
+class DemoStep:
+    """One command of the demo.
+
+    Attributes:
+        title: heading on the page.
+        sentence: what it does, in one sentence.
+        arguments: the command line after `gw`, paths relative to the demo folder.
+        outputs: files or folders it must leave, relative to the demo folder.
+        pictures: files worth looking at, as glob patterns relative to the demo folder.
+        subject: "subject_1", "subject_2" or "" where it concerns both.
+    """
+
+    title: str
+    sentence: str
+    arguments: tuple[str, ...]
+    outputs: tuple[str, ...]
+    pictures: tuple[str, ...] = ()
+    subject: str = ""
+
+    @property
+    def command(self) -> str:
+        return "gw " + " ".join(self.arguments)
+
+
+@dataclass
+class DemoOutcome:
+    """What running one step gave."""
+
+    step: DemoStep
+    seconds: float
+    peak_bytes: int
+    result: dict[str, object] = field(default_factory=dict)
+    reused: bool = False
+
+    def pictures(self, folder: Path) -> list[str]:
+        """Existing files that match the step's patterns, relative to `folder`."""
+        found: list[str] = []
+        for pattern in self.step.pictures:
+            found += sorted(str(path.relative_to(folder)) for path in folder.glob(pattern))
+        return found
+
+
+def steps(config: DemoConfig) -> list[DemoStep]:
+    """The whole chain on both subjects, then the exchange: subject 2 wears subject 1's skirt."""
+    chain = [_synthesise(config)]
+    for subject in ("subject_1", "subject_2"):
+        chain += _learn(subject, config)
+    return chain + _exchange(config)
+
+
+def _synthesise(config: DemoConfig) -> DemoStep:
+    return DemoStep(
+        "Two synthetic subjects",
+        "Bodies of different shape, simulated garments, nine cameras, exact masks, labels and poses.",
+        ("synth", "synthetic", "--preset", config.preset, "--seed", str(config.seed)),
+        ("synthetic/subject_1", "synthetic/subject_2", "synthetic/tryon_truth"),
+        ("synthetic/*.png",),
+    )
+
+
+def _learn(subject: str, config: DemoConfig) -> list[DemoStep]:
+    preset = ("--preset", config.preset)
+    train_options = preset + ("--seed", str(config.seed), "--device", config.device)
+    if config.train_minutes is not None:
+        train_options += ("--minutes", f"{config.train_minutes:g}")
+    table: list[tuple[str, str, tuple[str, ...], str]] = [
+        (
+            "register-template",
+            "A template mesh of the first frame and the body fit; the body must lie inside the masks.",
+            (f"synthetic/{subject}", "-o", subject, *preset),
+            "*.png",
+        ),
+        (
+            "canonicalize",
+            "The template in the canonical pose with the subject's shape taken out.",
+            (subject, *preset),
+            "*.png",
+        ),
+        (
+            "segment-layers",
+            "One mesh per layer, from the label images of all cameras.",
+            (subject, *preset),
+            "*.png",
+        ),
+        (
+            "bake-maps",
+            "Front and back maps of each layer: every texel becomes a Gaussian.",
+            (subject, *preset),
+            "*.png",
+        ),
+        (
+            "train",
+            "Networks that turn the pose into Gaussian attributes, trained on the images.",
+            (subject, *train_options),
+            "previews/*.png",
+        ),
+    ]
+    chain = [
+        DemoStep(name, sentence, (name, *arguments), (f"{subject}/{name}/current.json",),
+                 (f"{subject}/{name}/*/{pattern}",), subject)
+        for name, sentence, arguments, pattern in table
+    ]  # fmt: skip
+    chain.append(
+        DemoStep(
+            "evaluate",
+            "Held-out poses and the held-out camera, beside the template that learned nothing.",
+            ("evaluate", subject, "-o", f"evaluation/{subject}"),
+            (f"evaluation/{subject}",),
+            (f"evaluation/{subject}/*.png",),
+            subject,
+        )
+    )
+    return chain
+
+
+def _exchange(config: DemoConfig) -> list[DemoStep]:
+    exports = [
+        DemoStep(
+            "export-garment",
+            f"The {layer} layer of {subject} as one file.",
+            ("export-garment", subject, "--layer", layer, "-o", f"wardrobe/{name}.gwg"),
+            (f"wardrobe/{name}.gwg",),
+            (),
+            subject,
+        )
+        for subject, layer, name in (
+            ("subject_1", "lower", "skirt"),
+            ("subject_2", "upper", "shirt"),
+            ("subject_2", "body", "body_2"),
+        )
+    ]
+    outfit = ("wardrobe/body_2.gwg", "wardrobe/shirt.gwg", "wardrobe/skirt.gwg")
+    motion = ("--poses", "synthetic/motions/held_out.npz")
+    return [
+        *exports,
+        DemoStep(
+            "tryon",
+            "Subject 2 in subject 1's skirt, in a motion neither was trained on.",
+            ("tryon", *outfit, *motion, "-o", "tryon"),
+            ("tryon/result.json",),
+            ("tryon/*.mp4", "tryon/*.webm", "tryon/contact_sheet.png"),
+        ),
+        DemoStep(
+            "render",
+            "The same outfit from the cameras of the simulated truth.",
+            ("render", *outfit, *motion, "--cameras", "synthetic/tryon_truth", "-o", "tryon_cameras"),
+            ("tryon_cameras/result.json",),
+        ),
+        DemoStep(
+            "evaluate the try-on",
+            "Against the truth: the skirt simulated on subject 2's body.",
+            ("evaluate", "--frames", "tryon_cameras", "--truth", "synthetic/tryon_truth",
+             "-o", "evaluation/tryon"),
+            ("evaluation/tryon",),
+            ("evaluation/tryon/*.png",),
+        ),
+    ]  # fmt: skip

@@ -1,0 +1,84 @@
+"""The demo's own work: which steps run again, and what the page says."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from stages.demo import stage
+from stages.demo.config import DemoConfig
+from stages.demo.page import write_page
+from stages.demo.recipe import DemoOutcome, DemoStep, steps
+
+
+@pytest.fixture
+def ran(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Replace the child processes by a note of what would have run."""
+    commands: list[str] = []
+
+    def fake(folder: Path, step: DemoStep) -> DemoOutcome:
+        commands.append(step.command)
+        for output in step.outputs:
+            (folder / output).parent.mkdir(parents=True, exist_ok=True)
+            (folder / output).touch()
+        return DemoOutcome(step, 1.0, 2**20, {"made": step.title, "seconds": float(len(commands))})
+
+    monkeypatch.setattr(stage, "_run_step", fake)
+    return commands
+
+
+def test_every_step_runs_once_and_a_second_demo_runs_none(tmp_path: Path, ran: list[str]) -> None:
+    stage.run(tmp_path, DemoConfig())
+    assert ran == [step.command for step in steps(DemoConfig())]
+    ran.clear()
+    stage.run(tmp_path, DemoConfig())
+    assert ran == []
+
+
+def test_another_seed_runs_everything_again(tmp_path: Path, ran: list[str]) -> None:
+    stage.run(tmp_path, DemoConfig(seed=0))
+    ran.clear()
+    stage.run(tmp_path, DemoConfig(seed=1))
+    assert len(ran) == len(steps(DemoConfig()))
+
+
+def test_a_lost_output_runs_its_step_again(tmp_path: Path, ran: list[str]) -> None:
+    stage.run(tmp_path, DemoConfig())
+    ran.clear()
+    (tmp_path / "tryon/result.json").unlink()
+    stage.run(tmp_path, DemoConfig())
+    assert [command.split()[1] for command in ran] == ["tryon"]
+
+
+def test_a_failing_command_passes_its_exit_code_on(tmp_path: Path) -> None:
+    step = DemoStep("x", "x", ("canonicalize", "not-there"), ())
+    with pytest.raises(stage.StepFailed) as caught:
+        stage._run_step(tmp_path, step)
+    assert caught.value.exit_code == 66
+
+
+def test_the_page_shows_commands_scores_and_pictures(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "look.png"), np.full((20, 30, 3), 90, np.uint8))
+    step = DemoStep("evaluate", "How good.", ("evaluate", "s1"), (), ("*.png",), "subject_1")
+    scores = {"novel_pose": {"model": {"psnr_foreground": 21.25, "iou": None}}}
+    page = write_page(tmp_path, DemoConfig(), [DemoOutcome(step, 3.0, 2**20, scores)]).read_text()
+    assert "gw evaluate s1" in page and "21.25" in page and 'src="look.png"' in page
+    assert "subject_1 novel_pose model" in page and "–" in page
+    sheet = cv2.imread(str(tmp_path / "contact_sheet.png"))
+    assert sheet is not None and (sheet == 90).any()
+
+
+def test_titles_are_escaped(tmp_path: Path) -> None:
+    step = DemoStep("<b>", "<i>", ("x",), ())
+    page = write_page(tmp_path, DemoConfig(), [DemoOutcome(step, 0.0, 0, {})]).read_text()
+    assert "<b>" not in page and "&lt;b&gt;" in page
+
+
+def test_steps_survive_a_broken_memory(tmp_path: Path, ran: list[str]) -> None:
+    (tmp_path / "steps.json").write_text("{")
+    stage.run(tmp_path, DemoConfig())
+    assert json.loads((tmp_path / "steps.json").read_text())

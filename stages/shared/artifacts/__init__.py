@@ -1,0 +1,21 @@
+"""The artifact store: what stages hand each other is whole or absent, named by what made it, and never half-written."""
+
+from stages.shared.artifacts.artifact import Artifact
+from stages.shared.artifacts.build import Build
+from stages.shared.artifacts.external import ExternalFiles
+from stages.shared.artifacts.files import require_room, whole_folder, write_whole
+from stages.shared.artifacts.progress import Progress
+from stages.shared.artifacts.spec import StageSpec
+from stages.shared.artifacts.workspace import Workspace
+
+__all__ = [
+    "Artifact",
+    "Build",
+    "ExternalFiles",
+    "Progress",
+    "StageSpec",
+    "Workspace",
+    "require_room",
+    "whole_folder",
+    "write_whole",
+]

@@ -1,0 +1,226 @@
+"""An artifact in the making: a hidden folder that gets its name when everything in it is on the disk."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import platform
+import resource
+import secrets
+import sys
+import time
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from stages.shared.artifacts import lock
+from stages.shared.artifacts.arrays import describe_arrays, encode_arrays
+from stages.shared.artifacts.artifact import Artifact
+from stages.shared.artifacts.canonical import plain, readable_json, seal
+from stages.shared.artifacts.external import file_digest
+from stages.shared.artifacts.files import (
+    Chunks,
+    flush_file,
+    flush_folder,
+    make_folders,
+    make_read_only,
+    remove_folder,
+    replace_folder,
+    write_file,
+)
+from stages.shared.artifacts.manifest import (
+    MANIFEST_NAME,
+    RUN_NAME,
+    FileEntry,
+    InputEntry,
+    Manifest,
+    is_plain_name,
+)
+from stages.shared.artifacts.pictures import encode_png
+from stages.shared.artifacts.spec import StageSpec
+from stages.shared.errors import BadData
+
+if TYPE_CHECKING:
+    from stages.shared.artifacts.workspace import Workspace
+
+TEMPORARY = ".tmp-"
+_LIBRARIES = ("numpy", "torch", "scipy", "open3d", "igl", "trimesh", "cv2", "numba", "safetensors", "roma", "av")
+
+
+class Build:
+    """Context manager: write files, leave the block, and `artifact` is there; or an error, and nothing is.
+
+    Attributes:
+        path: the hidden folder, for libraries that write files themselves (then call `adopt`).
+        artifact: the finished artifact, after the block.
+    """
+
+    def __init__(
+        self,
+        workspace: Workspace,
+        spec: StageSpec,
+        config: Any,
+        inputs: Mapping[str, InputEntry],
+        listings: Mapping[str, dict[str, str]],
+    ) -> None:
+        self._workspace = workspace
+        self._manifest = Manifest(spec.name, spec.schema, spec.code_version, plain(config), dict(inputs))
+        self._listings = listings
+        self._measured: dict[str, Any] = {}
+        self.path = workspace.root / f".{spec.name}{TEMPORARY}{secrets.token_hex(6)}"
+        self.artifact: Artifact
+
+    @property
+    def key(self) -> str:
+        """Name the finished folder will have."""
+        return self._manifest.key
+
+    def write_arrays(
+        self, name: str, arrays: Mapping[str, Any], about: Mapping[str, str] | None = None
+    ) -> None:
+        """Write arrays as safetensors.
+
+        Arguments:
+            name: file name; ".safetensors" is added when it is missing.
+            arrays: name to array; NumPy or anything it takes.
+            about: name to a short text: unit, frame, axes, e.g. "m canonical (V,3)".
+
+        Raises:
+            BadData: a value is not finite, or its type cannot be stored.
+            StorageFailure: disk full.
+        """
+        name = name if name.endswith(".safetensors") else name + ".safetensors"
+        arrays = {key: np.asarray(value) for key, value in arrays.items()}
+        described = describe_arrays(arrays, about or {})
+        self._write(name, encode_arrays(arrays, f"{self._manifest.stage}/{name}"))
+        self._manifest.arrays[name] = described
+
+    def write_json(self, name: str, value: Any) -> None:
+        """Write JSON with sorted names; dataclasses and NumPy values are taken as plain ones."""
+        name = name if name.endswith(".json") else name + ".json"
+        self._write(name, readable_json(value))
+
+    def write_bytes(self, name: str, data: Chunks) -> None:
+        """Write a file as it is."""
+        self._write(name, data)
+
+    def write_picture(self, name: str, picture: np.ndarray) -> None:
+        """Write a picture (H, W), (H, W, 3) or (H, W, 4) uint8 sRGB as PNG."""
+        self._write(name, encode_png(picture))
+
+    def adopt(self, path: Path | str) -> None:
+        """Take in a file that another library wrote below `self.path`."""
+        name = (self.path / path).relative_to(self.path).as_posix()
+        self._check_name(name)
+        flush_file(self.path / name)
+        self._enter(name)
+
+    def summary(self, **numbers: Any) -> None:
+        """A few numbers to judge the artifact by. They are part of its content: no times, no machine."""
+        self._manifest.summary.update(plain(numbers))
+
+    def measured(self, **numbers: Any) -> None:
+        """Numbers about this run that differ between runs (times, memory); kept beside the content."""
+        self._measured.update(plain(numbers))
+
+    def __enter__(self) -> Build:
+        lock.acquire(self._workspace.root, self._workspace.clear_leftovers)
+        try:
+            make_folders(self.path)
+            self._started = time.monotonic()
+            self._started_at = datetime.now(UTC).isoformat(timespec="seconds")
+            for name, listing in self._listings.items():
+                self._write(name, readable_json(listing))
+        except BaseException:
+            self._abandon()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is not None:
+            self._abandon()
+            return
+        try:
+            self._commit()
+        except BaseException:
+            self._abandon()
+            raise
+        lock.release(self._workspace.root)
+
+    def _commit(self) -> None:
+        """Manifest last, flush, rename, flush the parent, point `current.json` at it."""
+        self._refuse_strays()
+        write_file(self.path / RUN_NAME, seal(self._run()))
+        write_file(self.path / MANIFEST_NAME, self._manifest.to_bytes())
+        make_read_only(self.path)
+        for folder in sorted((path for path in self.path.rglob("*") if path.is_dir()), reverse=True):
+            flush_folder(folder)
+        flush_folder(self.path)
+        final = self._workspace.root / self._manifest.stage / self._manifest.key
+        make_folders(final.parent)
+        if self._is_there(final):
+            remove_folder(self.path)
+        else:
+            replace_folder(self.path, final)
+        self.artifact = Artifact(final)
+        self._workspace.point_at(self.artifact)
+        self._workspace.drop_progress(self._manifest.stage, self._manifest.key)
+
+    def _is_there(self, final: Path) -> bool:
+        """Whether the same content already stands, whole, under the final name."""
+        if not final.exists():
+            return False
+        try:
+            standing = Artifact(final)
+            for name in standing.files:
+                standing.file(name)
+            return standing.digest == self._manifest.digest
+        except BadData:
+            return False
+
+    def _refuse_strays(self) -> None:
+        found = {path.relative_to(self.path).as_posix() for path in self.path.rglob("*") if not path.is_dir()}
+        strays = sorted(found - set(self._manifest.files))
+        if strays:
+            raise ValueError(f"{self._manifest.stage}: {strays[0]} was written but not adopted")
+
+    def _write(self, name: str, data: Chunks) -> None:
+        self._check_name(name)
+        make_folders((self.path / name).parent)
+        write_file(self.path / name, data)
+        self._enter(name)
+
+    def _enter(self, name: str) -> None:
+        path = self.path / name
+        self._manifest.files[name] = FileEntry(path.stat().st_size, file_digest(path))
+
+    def _check_name(self, name: str) -> None:
+        if not is_plain_name(name) or name in (MANIFEST_NAME, RUN_NAME) or name in self._manifest.files:
+            raise ValueError(f"{name!r} cannot be the name of a file of an artifact, or is one already")
+
+    def _run(self) -> dict[str, Any]:
+        return {
+            "started": self._started_at,
+            "seconds": round(time.monotonic() - self._started, 3),
+            "peak_bytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024,
+            "python": platform.python_version(),
+            "system": f"{platform.system()} {platform.machine()}",
+            "libraries": _library_versions(),
+            **self._measured,
+        }
+
+    def _abandon(self) -> None:
+        remove_folder(self.path)
+        lock.release(self._workspace.root)
+
+
+def _library_versions() -> dict[str, str]:
+    """Versions of the numerical libraries that this process has loaded."""
+    owners = importlib.metadata.packages_distributions()
+    loaded = [name for name in _LIBRARIES if name in sys.modules and name in owners]
+    return {name: importlib.metadata.version(owners[name][0]) for name in loaded}

@@ -1,0 +1,128 @@
+"""One text for one value: canonical JSON, and the digests made of it."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stages.shared.errors import BadData
+
+KEY_LENGTH = 32  # hex characters; 128 bits name a folder without paths growing too long
+
+
+def plain(value: Any) -> Any:
+    """A value as JSON types only: dataclasses become objects, tuples lists, numpy values numbers.
+
+    Dataclass fields marked `field(metadata={"affects_result": False})` (a device, a thread count) are left
+    out: they change how fast a result comes, not what it is.
+
+    Raises:
+        ValueError: a number that is not finite.
+        TypeError: anything else JSON has no word for; also paths, which do not belong into artifacts (give
+            the files as inputs).
+    """
+    if value is None or isinstance(value, bool | str):
+        return value
+    if isinstance(value, np.generic | np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, int):
+        return int(value)
+    if isinstance(value, float):
+        if not math.isfinite(value):
+            raise ValueError(f"{value} is not a finite number")
+        return float(value)
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        fields = (field for field in dataclasses.fields(value) if field.metadata.get("affects_result", True))
+        return {field.name: plain(getattr(value, field.name)) for field in fields}
+    if isinstance(value, Mapping):
+        return {str(name): plain(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, set | frozenset):
+        return sorted(plain(item) for item in value)
+    if isinstance(value, Path):
+        raise TypeError(f"{value} is a path; give files as inputs, not as configuration")
+    raise TypeError(f"{type(value).__name__} is not JSON")
+
+
+def canonical_json(value: Any) -> bytes:
+    """The one text of a value: sorted names, no spaces, UTF-8."""
+    text = json.dumps(plain(value), sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+    return text.encode()
+
+
+def readable_json(value: Any) -> bytes:
+    """As canonical, but with line breaks, for files people open."""
+    text = json.dumps(plain(value), sort_keys=True, indent=1, ensure_ascii=False, allow_nan=False)
+    return text.encode() + b"\n"
+
+
+def digest(data: bytes | bytearray | memoryview) -> str:
+    """SHA-256 as hex."""
+    return hashlib.sha256(data).hexdigest()
+
+
+def artifact_key(stage: str, schema: str, code_version: int, config: Any, inputs: Mapping[str, str]) -> str:
+    """Name of what a stage makes from a configuration and inputs (name to digest)."""
+    parts = {
+        "stage": stage,
+        "schema": schema,
+        "code_version": code_version,
+        "config": config,
+        "inputs": dict(inputs),
+    }
+    return digest(canonical_json(parts))[:KEY_LENGTH]
+
+
+def seal(value: dict[str, Any]) -> bytes:
+    """A JSON file that carries its own SHA-256, so that a flipped bit in it is found."""
+    return readable_json({**value, "sha256": digest(canonical_json(value))})
+
+
+def unseal(data: bytes, path: Path) -> dict[str, Any]:
+    """Read what `seal` wrote.
+
+    Raises:
+        BadData: not the bytes that were written.
+    """
+    try:
+        value = strict_json(data)
+        if not isinstance(value, dict):
+            raise ValueError("not an object")
+        claimed = value.pop("sha256", None)
+        if claimed != digest(canonical_json(value)) or seal(value) != data:
+            raise ValueError("it does not match its own checksum")
+    except (ValueError, RecursionError) as error:
+        raise BadData(
+            f"A record of the workspace is damaged: {error}.",
+            str(path),
+            "Run the stage that wrote it again; `gw verify` lists everything that is damaged.",
+        ) from error
+    return value
+
+
+def strict_json(data: bytes) -> Any:
+    """Parse JSON as the standard has it: no NaN, no Infinity, no name twice.
+
+    Raises:
+        ValueError: anything else.
+    """
+    return json.loads(data.decode("utf-8"), parse_constant=_refuse_constant, object_pairs_hook=_unique)
+
+
+def _refuse_constant(name: str) -> float:
+    raise ValueError(f"{name} is not JSON")
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    value = dict(pairs)
+    if len(value) != len(pairs):
+        raise ValueError("a name stands twice in one object")
+    return value

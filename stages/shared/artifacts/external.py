@@ -1,0 +1,149 @@
+"""Files outside the workspace that a stage reads: what they hold, and whether that has changed."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from stages.shared.artifacts.canonical import canonical_json, digest
+from stages.shared.artifacts.files import write_whole
+from stages.shared.errors import MissingInput, StorageFailure
+
+READ_BYTES = 1 << 20
+# A file changed again within this time after it was hashed could keep its time stamp, so it is not remembered.
+_SETTLED_NANOSECONDS = 2_000_000_000
+CACHE_NAME = ".digests.json"
+
+
+@dataclass(frozen=True)
+class ExternalFiles:
+    """A named group of input files, e.g. the label images of a capture.
+
+    Attributes:
+        name: such as "capture/labels". The part before the slash names the setting in `subject.json` that
+            says where `root` is, so that a moved capture is found again.
+        root: folder the files are listed against.
+        files: paths below `root`.
+    """
+
+    name: str
+    root: Path
+    files: Sequence[Path]
+
+    @property
+    def setting(self) -> str:
+        return self.name.split("/")[0]
+
+    def listing(self, cache: DigestCache) -> dict[str, str]:
+        """SHA-256 of every file by its path relative to `root`, sorted.
+
+        Raises:
+            MissingInput: a file is not there.
+            StorageFailure: a file cannot be read.
+        """
+        relative = {os.path.relpath(file, self.root).replace(os.sep, "/"): Path(file) for file in self.files}
+        outside = [path for path in relative if path.startswith("../")]
+        if outside:
+            raise ValueError(f"{self.name}: {outside[0]} is not below {self.root}")
+        return {path: cache.digest(relative[path]) for path in sorted(relative)}
+
+
+def listing_digest(listing: dict[str, str]) -> str:
+    """One digest for a group of files: of their relative paths and their contents."""
+    return digest(canonical_json(listing))
+
+
+def changes(recorded: dict[str, str], root: Path, cache: DigestCache) -> Iterable[str]:
+    """Relative paths of a recorded listing that hold something else now, each with what happened."""
+    for path, expected in recorded.items():
+        try:
+            found = cache.digest(root / path)
+        except MissingInput:
+            yield f"{path} is gone"
+            continue
+        if found != expected:
+            yield f"{path} changed"
+
+
+def file_digest(path: Path) -> str:
+    """SHA-256 of a file's bytes as hex.
+
+    Raises:
+        MissingInput, StorageFailure: the file is not there, or cannot be read.
+    """
+    hasher = hashlib.sha256()
+    try:
+        with path.open("rb", buffering=0) as file:
+            while chunk := file.read(READ_BYTES):
+                hasher.update(chunk)
+    except OSError as error:
+        raise unreadable(path, error) from error
+    return hasher.hexdigest()
+
+
+def unreadable(path: Path, error: OSError) -> MissingInput | StorageFailure:
+    """The error for an input file that could not be read."""
+    if isinstance(error, FileNotFoundError | NotADirectoryError):
+        return MissingInput("An input file is not there.", str(path), "Put it back, or give another input.")
+    if isinstance(error, IsADirectoryError):
+        return MissingInput("An input file is a folder.", str(path), "Put the file back, or give another input.")
+    return StorageFailure(f"Reading failed: {error.strerror or error}.", str(path), "Check the file and its permissions.")
+
+
+class DigestCache:
+    """Digests of files that have not changed since they were read, so that `gw status` is quick.
+
+    A file is taken for unchanged while its size, its times of change, and its inode stay the same. The cache is only
+    a shortcut: without it everything is read again.
+    """
+
+    def __init__(self, workspace: Path) -> None:
+        self._folder = workspace
+        self._path = workspace / CACHE_NAME
+        self._known = self._load()
+        self._changed = False
+
+    def digest(self, path: Path) -> str:
+        """SHA-256 of a file, read only if it may have changed."""
+        name = os.path.relpath(path, self._folder)
+        before = _signature(path)
+        known = self._known.get(name)
+        if known is not None and known[:-1] == before:
+            return str(known[-1])
+        found = file_digest(path)
+        settled = time.time_ns() - max(before[1], before[2]) > _SETTLED_NANOSECONDS
+        if settled and _signature(path) == before:
+            self._known[name] = [*before, found]
+            self._changed = True
+        return found
+
+    def save(self) -> None:
+        """Keep what was learnt, if anything was.
+
+        Raises:
+            StorageFailure: the workspace cannot be written.
+        """
+        if self._changed and self._folder.is_dir():
+            write_whole(self._path, json.dumps(self._known).encode())
+            self._changed = False
+
+    def _load(self) -> dict[str, list[int | str]]:
+        try:
+            known = json.loads(self._path.read_bytes())
+        except (OSError, ValueError):
+            return {}  # no cache, or not a usable one: read every file again
+        usable = isinstance(known, dict) and all(isinstance(v, list) and len(v) == 5 for v in known.values())
+        return known if usable else {}
+
+
+def _signature(path: Path) -> list[int | str]:
+    try:
+        found = path.stat()
+    except OSError as error:
+        raise unreadable(path, error) from error
+    return [found.st_size, found.st_mtime_ns, found.st_ctime_ns, found.st_ino]

@@ -1,0 +1,141 @@
+"""Work of a long stage that survives a kill: a folder of atomically replaced files, kept until the artifact is done."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from stages.shared.artifacts.arrays import Arrays, decode_arrays, encode_arrays
+from stages.shared.artifacts.canonical import canonical_json, digest, readable_json, strict_json
+from stages.shared.artifacts.files import append_whole, write_whole
+from stages.shared.artifacts.manifest import is_plain_name
+from stages.shared.errors import BadData
+
+_DIGEST_NOTE = "content_sha256"
+
+
+class Progress:
+    """Context manager holding the workspace's lock; what is in its folder is there again after a crash.
+
+    Every file is replaced whole. What must be consistent with each other (weights, moments, the step they belong to)
+    goes into one file: `write_arrays(name, arrays, note)`.
+
+    Attributes:
+        path: the folder.
+    """
+
+    def __init__(self, path: Path, release: Callable[[], None]) -> None:
+        self.path = path
+        self._release: Callable[[], None] | None = release
+
+    def has(self, name: str) -> bool:
+        """Whether a file of this name was written."""
+        return self._path(name).is_file()
+
+    def write_arrays(self, name: str, arrays: Mapping[str, Any], note: Any = None) -> None:
+        """Replace a safetensors file; `note` (JSON types) is stored in the same file.
+
+        Raises:
+            BadData: a value is not finite. StorageFailure: disk full; the earlier file stays.
+        """
+        chunks = encode_arrays(arrays, name)[1:]
+        content = digest(canonical_json([digest(chunk) for chunk in chunks] + [note]))
+        notes = {"note": canonical_json(note).decode(), _DIGEST_NOTE: content}
+        write_whole(self._path(name), encode_arrays(arrays, name, notes))
+
+    def arrays(self, name: str) -> tuple[Arrays, Any]:
+        """Arrays and note of a file written by `write_arrays`.
+
+        Raises:
+            BadData: damaged.
+        """
+        path = self._path(name)
+        arrays, notes = decode_arrays(bytearray(path.read_bytes()), path)
+        chunks = encode_arrays(arrays, name)[1:]
+        try:
+            note = strict_json(notes["note"].encode())
+            content = digest(canonical_json([digest(chunk) for chunk in chunks] + [note]))
+        except (KeyError, ValueError) as error:
+            raise self._damaged(path) from error
+        if content != notes.get(_DIGEST_NOTE):
+            raise self._damaged(path)
+        return arrays, note
+
+    def write_json(self, name: str, value: Any) -> None:
+        """Replace a JSON file."""
+        write_whole(self._path(name), readable_json(value))
+
+    def json(self, name: str) -> Any:
+        """Content of a JSON file. Raises BadData when damaged."""
+        path = self._path(name)
+        try:
+            return strict_json(path.read_bytes())
+        except ValueError as error:
+            raise self._damaged(path) from error
+
+    def write_bytes(self, name: str, data: bytes) -> None:
+        """Replace a file."""
+        write_whole(self._path(name), data)
+
+    def append_line(self, name: str, value: Any) -> None:
+        """Add one JSON object as a line, in a single write. Not flushed to the disk: lines are told again on resume."""
+        append_whole(self._path(name), canonical_json(value) + b"\n")
+
+    def lines(self, name: str) -> list[Any]:
+        """The lines appended so far, without one that a crash cut short."""
+        path = self._path(name)
+        if not path.exists():
+            return []
+        whole = path.read_bytes().split(b"\n")[:-1]
+        found = []
+        for line in whole:
+            try:
+                found.append(strict_json(line))
+            except ValueError:
+                break  # a line cut short, and whatever was added behind it before anyone looked
+        return found
+
+    def rewrite_lines(self, name: str, values: list[Any]) -> None:
+        """Replace all lines, e.g. to drop those behind the checkpoint that is resumed from."""
+        write_whole(self._path(name), b"".join(canonical_json(value) + b"\n" for value in values))
+
+    def close(self) -> None:
+        """Let other processes write to the workspace; the folder stays."""
+        if self._release is not None:
+            self._release()
+            self._release = None
+
+    def __enter__(self) -> Progress:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _path(self, name: str) -> Path:
+        if not is_plain_name(name):
+            raise ValueError(f"{name!r} cannot be the name of a file here")
+        return self.path / name
+
+    @staticmethod
+    def _damaged(path: Path) -> BadData:
+        return BadData(
+            "A file of unfinished work is damaged.", str(path), f"Remove the folder {path.parent} and start again."
+        )
+
+
+def count_lines(path: Path) -> int:
+    """Number of whole JSON lines of a file, 0 if there is none."""
+    return sum(1 for line in path.read_bytes().splitlines() if _is_json(line)) if path.exists() else 0
+
+
+def _is_json(line: bytes) -> bool:
+    try:
+        json.loads(line)
+    except ValueError:
+        return False
+    return True

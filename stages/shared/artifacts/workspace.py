@@ -1,0 +1,269 @@
+"""A subject's workspace: the artifacts of every stage, which of them is in use, and who may write."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from stages.shared.artifacts import lock
+from stages.shared.artifacts.artifact import Artifact
+from stages.shared.artifacts.build import TEMPORARY, Build
+from stages.shared.artifacts.canonical import artifact_key, plain, readable_json, seal, strict_json, unseal
+from stages.shared.artifacts.external import DigestCache, ExternalFiles, listing_digest
+from stages.shared.artifacts.files import make_folders, remove_folder, write_whole
+from stages.shared.artifacts.manifest import InputEntry, is_plain_name
+from stages.shared.artifacts.progress import Progress
+from stages.shared.artifacts.spec import StageSpec
+from stages.shared.errors import BadData, MissingInput
+
+SETTINGS_NAME = "subject.json"
+CURRENT_NAME = "current.json"
+_PROGRESS = ".progress-"
+Inputs = Mapping[str, Artifact | ExternalFiles]
+
+
+class Workspace:
+    """The folder of one subject.
+
+        subject.json                    where the capture is, relative to this folder
+        <stage>/current.json            which artifact of the stage is in use
+        <stage>/<key>/manifest.json     a finished artifact: whole, read-only, named by what made it
+        .<stage>.tmp-…  .<stage>.progress-…    work that is not finished
+    """
+
+    def __init__(self, root: Path | str) -> None:
+        self.root = Path(root)
+
+    def current(self, spec: StageSpec) -> Artifact | None:
+        """The artifact of a stage that is in use, or None.
+
+        Raises:
+            BadData: there is one, but it is damaged.
+        """
+        pointer = self.root / spec.name / CURRENT_NAME
+        if not pointer.exists():
+            return None
+        key = unseal(pointer.read_bytes(), pointer).get("key")
+        folder = self.root / spec.name / str(key)
+        return Artifact(folder) if folder.is_dir() else None
+
+    def require(self, spec: StageSpec) -> Artifact:
+        """The artifact of a stage that is in use.
+
+        Raises:
+            MissingInput: there is none; says which command makes it.
+            BadData: it is damaged.
+        """
+        artifact = self.current(spec)
+        if artifact is None:
+            raise MissingInput(
+                f"The stage {spec.name} has not been run for this subject.",
+                str(self.root),
+                f"Run: {self.command(spec)}",
+            )
+        return artifact
+
+    def find(self, spec: StageSpec, config: Any, inputs: Inputs) -> Artifact | None:
+        """The finished artifact that this configuration and these inputs give, put in use; or None.
+
+        Raises:
+            MissingInput: an input file is not there.
+        """
+        cache = DigestCache(self.root)
+        entries, _ = self._entries(inputs, cache)
+        digests = {name: entry.digest for name, entry in entries.items()}
+        key = artifact_key(spec.name, spec.schema, spec.code_version, plain(config), digests)
+        folder = self.root / spec.name / key
+        if not folder.is_dir():
+            return None
+        cache.save()
+        try:
+            artifact = Artifact(folder)
+        except BadData:
+            return None  # made anew by the caller, and then replaced
+        if not self._points_at(artifact):
+            lock.acquire(self.root, self.clear_leftovers)
+            try:
+                self.point_at(artifact)
+            finally:
+                lock.release(self.root)
+        return artifact
+
+    def build(self, spec: StageSpec, config: Any, inputs: Inputs, force: bool = False) -> Build:
+        """Make an artifact: `with workspace.build(...) as build: build.write_arrays(...)`, then `build.artifact`.
+
+        Takes the lock for the length of the block. With `force`, unfinished work of the same key is thrown away when
+        the artifact is done, and an artifact already there is replaced if its content differs.
+
+        Raises:
+            Locked: another process writes to this workspace.
+            MissingInput: an input file is not there.
+            StorageFailure: disk full; nothing half-written is left.
+        """
+        make_folders(self.root)
+        cache = DigestCache(self.root)
+        entries, listings = self._entries(inputs, cache)
+        cache.save()
+        self._remember_roots(inputs)
+        return Build(self, spec, config, entries, listings)
+
+    def progress(self, spec: StageSpec, config: Any, inputs: Inputs, force: bool = False) -> Progress:
+        """Folder for unfinished work of a long stage, the same one again after a crash: `with workspace.progress(...)`.
+
+        It disappears when the artifact of the same configuration and inputs is finished. `force` starts it empty.
+
+        Raises:
+            Locked: another process writes to this workspace.
+        """
+        lock.acquire(self.root, self.clear_leftovers)
+        try:
+            entries, _ = self._entries(inputs, DigestCache(self.root))
+            digests = {name: entry.digest for name, entry in entries.items()}
+            key = artifact_key(spec.name, spec.schema, spec.code_version, plain(config), digests)
+            folder = self.root / f".{spec.name}{_PROGRESS}{key}"
+            if force:
+                remove_folder(folder)
+            make_folders(folder)
+        except BaseException:
+            lock.release(self.root)
+            raise
+        return Progress(folder, lambda: lock.release(self.root))
+
+    def settings(self) -> dict[str, Any]:
+        """What `subject.json` holds; empty for a new workspace.
+
+        Raises:
+            BadData: it is not JSON.
+        """
+        path = self.root / SETTINGS_NAME
+        if not path.exists():
+            return {}
+        try:
+            value = strict_json(path.read_bytes())
+            if not isinstance(value, dict):
+                raise ValueError("not an object")
+        except ValueError as error:
+            raise BadData(
+                f"The subject's settings cannot be read: {error}.", str(path), "Mend it, or register the capture again."
+            ) from error
+        return value
+
+    def save_settings(self, **values: Any) -> None:
+        """Add to `subject.json`. Paths are stored relative to the workspace, so that both can be moved together.
+
+        Raises:
+            Locked: another process writes to this workspace.
+        """
+        values = {name: self.relative(value) if isinstance(value, Path) else value for name, value in values.items()}
+        settings = self.settings()
+        if settings | plain(values) == settings and (self.root / SETTINGS_NAME).exists():
+            return
+        lock.acquire(self.root, self.clear_leftovers)
+        try:
+            write_whole(self.root / SETTINGS_NAME, readable_json(self.settings() | values))
+        finally:
+            lock.release(self.root)
+
+    def setting_path(self, name: str) -> Path:
+        """A path that `subject.json` holds, e.g. "capture", as seen from here.
+
+        Raises:
+            MissingInput: the setting, or what it points at, is not there.
+        """
+        text = self.settings().get(name)
+        if not isinstance(text, str):
+            raise MissingInput(
+                f"This subject has no {name}.", str(self.root / SETTINGS_NAME), "Register one: gw register-template."
+            )
+        path = Path(os.path.normpath(self.root / text))
+        if not path.exists():
+            raise MissingInput(
+                f"The {name} of this subject is not where it was.",
+                str(path),
+                f"Put it back, or write its new place into {self.root / SETTINGS_NAME}.",
+            )
+        return path
+
+    def relative(self, path: Path) -> str:
+        """A path as text relative to this workspace."""
+        return Path(os.path.relpath(path, self.root)).as_posix()
+
+    def publish(self, artifact: Artifact, file_name: str, as_name: str) -> Path:
+        """Copy a file of an artifact, whole or not at all, to a place where users look for it."""
+        if not is_plain_name(as_name):
+            raise ValueError(f"{as_name!r} is not a name inside the workspace")
+        target = self.root / as_name
+        data = artifact.bytes(file_name)
+        if target.exists() and target.read_bytes() == data:
+            return target
+        lock.acquire(self.root, self.clear_leftovers)
+        try:
+            write_whole(target, data)
+        finally:
+            lock.release(self.root)
+        return target
+
+    def command(self, spec: StageSpec) -> str:
+        """What a user types to run a stage for this subject."""
+        capture = self.settings().get("capture")
+        words = {"SUBJECT": str(self.root)}
+        if isinstance(capture, str):
+            words["CAPTURE"] = os.path.normpath(self.root / capture)
+        return " ".join(words.get(word, word) for word in spec.command.split())
+
+    def artifacts(self) -> list[Path]:
+        """Folders of all finished artifacts, in use or not."""
+        pointers = sorted(self.root.glob(f"*/{CURRENT_NAME}"))
+        stages = sorted({pointer.parent for pointer in pointers} | {p.parents[1] for p in self.root.glob("*/*/manifest.json")})
+        return [folder for stage in stages for folder in sorted(stage.iterdir()) if folder.is_dir()]
+
+    def point_at(self, artifact: Artifact) -> None:
+        """Put an artifact in use. The caller holds the lock."""
+        if not self._points_at(artifact):
+            write_whole(self.root / artifact.stage / CURRENT_NAME, seal({"key": artifact.key}))
+
+    def _points_at(self, artifact: Artifact) -> bool:
+        pointer = self.root / artifact.stage / CURRENT_NAME
+        return pointer.exists() and pointer.read_bytes() == seal({"key": artifact.key})
+
+    def drop_progress(self, stage: str, key: str) -> None:
+        """Remove unfinished work whose artifact is finished. The caller holds the lock."""
+        remove_folder(self.root / f".{stage}{_PROGRESS}{key}")
+
+    def clear_leftovers(self) -> None:
+        """Remove what killed processes left behind. The caller holds the lock, so none of it is in use."""
+        for left in [*self.root.glob(f".*{TEMPORARY}*"), *self.root.glob(f"*/.*{TEMPORARY}*")]:
+            if left.is_dir() and not left.is_symlink():
+                remove_folder(left)
+            else:
+                left.unlink(missing_ok=True)
+        for progress in self.root.glob(f".*{_PROGRESS}*"):
+            stage, key = progress.name[1:].split(_PROGRESS)
+            if (self.root / stage / key / "manifest.json").exists():
+                remove_folder(progress)
+
+    def _entries(
+        self, inputs: Inputs, cache: DigestCache
+    ) -> tuple[dict[str, InputEntry], dict[str, dict[str, str]]]:
+        """Inputs as the manifest records them, and for external files the listings to keep beside it."""
+        entries, listings = {}, {}
+        for name, given in inputs.items():
+            if isinstance(given, Artifact):
+                entries[name] = InputEntry(given.digest, stage=given.stage, key=given.key)
+                continue
+            listing = given.listing(cache)
+            file = f"inputs/{name.replace('/', '-')}.json"
+            listings[file] = listing
+            entries[name] = InputEntry(
+                listing_digest(listing), root=given.setting, listing=file, count=len(listing)
+            )
+        return entries, listings
+
+    def _remember_roots(self, inputs: Inputs) -> None:
+        """Write into `subject.json` where external files are, unless it says so already."""
+        settings = self.settings()
+        for given in inputs.values():
+            if isinstance(given, ExternalFiles) and given.setting not in settings:
+                self.save_settings(**{given.setting: given.root})

@@ -1,0 +1,50 @@
+"""Layers together: one set of Gaussians whose features are colour and one-hot layer labels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from stages.shared.avatar.deform import PosedGaussians
+
+
+@dataclass(frozen=True)
+class Composite:
+    """All layers' Gaussians in one world, ready for one splatting pass.
+
+    Attributes:
+        means: (N, 3) m. covariances: (N, 3, 3) m². opacities: (N,).
+        features: (N, 3 + L) sRGB, then one channel per layer, 1 for the Gaussian's own.
+        layer_ids: (N,) int64, index into `layers`.
+        layers: names, inner to outer.
+    """
+
+    means: Tensor
+    covariances: Tensor
+    opacities: Tensor
+    features: Tensor
+    layer_ids: Tensor
+    layers: tuple[str, ...]
+
+
+def compose(posed: dict[str, PosedGaussians]) -> Composite:
+    """Concatenate layers given inner to outer (name -> Gaussians)."""
+    layers = tuple(posed)
+    counts = [len(gaussians.means) for gaussians in posed.values()]
+    device = next(iter(posed.values())).means.device
+    layer_ids = torch.repeat_interleave(
+        torch.arange(len(layers), device=device), torch.tensor(counts, device=device)
+    )
+    colors = torch.cat([gaussians.colors for gaussians in posed.values()])
+    labels = functional.one_hot(layer_ids, len(layers)).to(colors.dtype)
+    return Composite(
+        means=torch.cat([gaussians.means for gaussians in posed.values()]),
+        covariances=torch.cat([gaussians.covariances for gaussians in posed.values()]),
+        opacities=torch.cat([gaussians.opacities for gaussians in posed.values()]),
+        features=torch.cat((colors, labels), dim=1),
+        layer_ids=layer_ids,
+        layers=layers,
+    )

@@ -1,0 +1,124 @@
+"""From canonical Gaussians to posed ones: p = T (C + Σ β d + Δp), Σ = T R S² Rᵀ Tᵀ, T = Σ_j w_j M_j.
+
+Linear blend skinning of centres and covariances (Gaussian Wardrobe, sec. 3.3). The covariance is carried by
+the blended matrix T itself, which need not be a rotation: the Gaussian is sheared exactly as the surface is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from stages.shared.avatar.maps import LayerMaps
+
+
+@dataclass(frozen=True)
+class Attributes:
+    """Canonical Gaussian attributes of one layer in one pose.
+
+    Attributes:
+        offsets: (N, 3) m, canonical, added to the texel's position.
+        quaternions: (N, 4) wxyz, unit.
+        scales: (N, 3) m, standard deviations.
+        opacities: (N,) 0..1.
+        colors: (N, 3) sRGB; 0..1 when the model bounds them.
+    """
+
+    offsets: Tensor
+    quaternions: Tensor
+    scales: Tensor
+    opacities: Tensor
+    colors: Tensor
+
+
+@dataclass(frozen=True)
+class PosedGaussians:
+    """Gaussians of one layer in world space.
+
+    Attributes:
+        means: (N, 3) m. covariances: (N, 3, 3) m². opacities: (N,). colors: (N, 3) sRGB.
+        normals: (N, 3) unit, estimated from posed neighbours.
+        offsets: (N, 3) m, the canonical Δp that led here.
+    """
+
+    means: Tensor
+    covariances: Tensor
+    opacities: Tensor
+    colors: Tensor
+    normals: Tensor
+    offsets: Tensor
+
+
+def shaped_positions(maps: LayerMaps, betas: Tensor) -> Tensor:
+    """Canonical texel positions (N, 3) m of a body with shape `betas` (10,): C + Σ_b β_b d_b."""
+    return maps.positions + torch.einsum("b,nbk->nk", betas, maps.shape_directions)
+
+
+def blended(weights: Tensor, transforms: Tensor) -> Tensor:
+    """Skinning matrices (N, 3, 4) from weights (N, 55) and bone transforms (55, 4, 4)."""
+    return (weights @ transforms[:, :3, :].reshape(-1, 12)).view(-1, 3, 4)
+
+
+def moved(points: Tensor, matrices: Tensor) -> Tensor:
+    """Apply one (3, 4) matrix per point: (N, 3), (N, 3, 4) -> (N, 3)."""
+    return (matrices[:, :, :3] @ points[:, :, None]).squeeze(-1) + matrices[:, :, 3]
+
+
+def rotation_matrices(quaternions: Tensor) -> Tensor:
+    """Unit quaternions wxyz (N, 4) -> rotation matrices (N, 3, 3)."""
+    w, x, y, z = quaternions.unbind(dim=-1)
+    rows = (
+        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+    )  # fmt: skip
+    return torch.stack(rows, dim=-1).view(-1, 3, 3)
+
+
+def unit_quaternions(quaternions: Tensor) -> Tensor:
+    """Normalise (N, 4); a (nearly) zero quaternion becomes the identity, with zero gradient, never NaN."""
+    squared = quaternions.square().sum(dim=-1, keepdim=True)
+    usable = squared > 1e-12
+    safe = torch.where(usable, squared, torch.ones_like(squared))
+    identity = quaternions.new_tensor([1.0, 0.0, 0.0, 0.0])
+    return torch.where(usable, quaternions * safe.rsqrt(), identity)
+
+
+def estimate_normals(means: Tensor, maps: LayerMaps, fallback: Tensor) -> Tensor:
+    """Unit normals (N, 3) of posed texels from their map neighbours.
+
+    Sum of the cross products of consecutive neighbour arms (right×up, up×left, left×down, down×right), which
+    points outwards in the front view and is flipped in the back view. Texels without two consecutive
+    neighbours, or with a vanishing sum, take `fallback` (N, 3), which is normalised too.
+    """
+    here = maps.neighbours >= 0
+    arms = means[maps.neighbours.clamp(min=0)] - means[:, None]  # (N, 4, 3) up, right, down, left
+    arms = arms * here[:, :, None]
+    total = torch.zeros_like(means)
+    for first, second in ((1, 0), (0, 3), (3, 2), (2, 1)):
+        total = total + torch.linalg.cross(arms[:, first], arms[:, second])
+    sign = 1.0 - 2.0 * maps.texels[:, :1].to(means.dtype)
+    total = total * sign
+    good = total.square().sum(dim=1, keepdim=True) > 1e-18
+    chosen = torch.where(good, total, fallback)
+    return chosen / chosen.square().sum(dim=1, keepdim=True).clamp(min=1e-18).sqrt()
+
+
+def pose_layer(maps: LayerMaps, attributes: Attributes, transforms: Tensor, betas: Tensor) -> PosedGaussians:
+    """Deform one layer.
+
+    Arguments:
+        maps: baked maps (N texels). attributes: canonical attributes of the same texels.
+        transforms: (55, 4, 4) posed_from_canonical, canonical to world. betas: (10,) shape.
+    """
+    matrices = blended(maps.skin_weights, transforms)
+    means = moved(shaped_positions(maps, betas) + attributes.offsets, matrices)
+    spread = matrices[:, :, :3] @ (rotation_matrices(attributes.quaternions) * attributes.scales[:, None, :])
+    covariances = spread @ spread.transpose(1, 2)
+    carried = (matrices[:, :, :3] @ maps.normals[:, :, None]).squeeze(-1)
+    normals = estimate_normals(means, maps, carried)
+    return PosedGaussians(
+        means, covariances, attributes.opacities, attributes.colors, normals, attributes.offsets
+    )

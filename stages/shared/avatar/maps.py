@@ -1,0 +1,172 @@
+"""Baked maps of one layer as tensors: which texels there are, and what each knows of the canonical layer.
+
+A texel is one map pixel with a surface point behind it; it carries one Gaussian. Texels live on a window of a
+global square grid that all layers and subjects share, once per view (0 front, 1 back).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from stages.shared.errors import BadData
+
+_FLOATS = {
+    "positions": (3,),
+    "normals": (3,),
+    "skin_weights": (55,),
+    "shape_directions": (10, 3),
+    "spacing": (),
+    "colors": (3,),
+    "color_confidence": (),
+}
+
+
+@dataclass(frozen=True)
+class LayerMaps:
+    """Baked maps of one layer.
+
+    Attributes:
+        layer: "body", "lower", "upper" or "outer".
+        pitch: metres per texel of the global grid.
+        centre: (3,) m, canonical point at the middle of the grid (bounding box of the zero-shape body).
+        grid_size: texels per side of the global grid.
+        window: (row0, col0, height, width) of the layer on the grid.
+        texels: (N, 3) int64 view, row, column on the global grid; sorted by view, row, column.
+        positions: (N, 3) m, canonical, zero shape.
+        normals: (N, 3) canonical.
+        skin_weights: (N, 55), rows sum to 1.
+        shape_directions: (N, 10, 3) m per unit of shape, canonical.
+        neighbours: (N, 4) int64 texel above, right, below, left in the same view; −1 where there is none.
+        seams: (S, 2) int64 pairs of texels that meet across the silhouette, front to back.
+        spacing: (N,) m, initial standard deviation of a Gaussian, from the surface sampling density.
+        colors: (N, 3) sRGB 0..1 projected from the images.
+        color_confidence: (N,) 0 where no image saw the texel.
+    """
+
+    layer: str
+    pitch: float
+    centre: tuple[float, float, float]
+    grid_size: int
+    window: tuple[int, int, int, int]
+    texels: Tensor
+    positions: Tensor
+    normals: Tensor
+    skin_weights: Tensor
+    shape_directions: Tensor
+    neighbours: Tensor
+    seams: Tensor
+    spacing: Tensor
+    colors: Tensor
+    color_confidence: Tensor
+
+    @classmethod
+    def load(cls, artifact: Any, layer: str) -> LayerMaps:
+        """Maps of `layer` from a bake-maps artifact (`stages.shared.artifacts.Artifact`)."""
+        summary = artifact.summary
+        return cls.from_arrays(
+            layer,
+            artifact.arrays(f"{layer}.safetensors"),
+            summary["pitch"],
+            summary["centre"],
+            summary["grid_size"],
+        )
+
+    @classmethod
+    def from_arrays(
+        cls, layer: str, arrays: dict[str, np.ndarray], pitch: float, centre: Any, grid_size: int
+    ) -> LayerMaps:
+        """Maps from named numpy arrays (names and shapes: class docstring).
+
+        Raises BadData where they disagree.
+        """
+        where = f"maps of layer {layer}"
+        _check(arrays, int(grid_size), where)
+        tensors = {name: torch.from_numpy(np.array(arrays[name], dtype=np.float32)) for name in _FLOATS}
+        for name in ("texels", "neighbours", "seams"):
+            tensors[name] = torch.from_numpy(np.array(arrays[name], dtype=np.int64))
+        window = tuple(int(value) for value in arrays["window"])
+        centre = tuple(float(value) for value in centre)
+        return cls(layer, float(pitch), centre, int(grid_size), window, **tensors)  # type: ignore[arg-type]
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """The arrays `from_arrays` reads: float32, indices int32."""
+        arrays = {name: getattr(self, name).cpu().numpy() for name in _FLOATS}
+        for name in ("texels", "neighbours", "seams"):
+            arrays[name] = getattr(self, name).cpu().numpy().astype(np.int32)
+        arrays["window"] = np.array(self.window, dtype=np.int32)
+        return arrays
+
+    def __len__(self) -> int:
+        return self.texels.shape[0]
+
+    def to(self, device: torch.device | str) -> LayerMaps:
+        """The same maps on `device`."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        moved: dict[str, Any] = {name: v.to(device) for name, v in values.items() if isinstance(v, Tensor)}
+        return replace(self, **moved)
+
+    @property
+    def window_texels(self) -> tuple[Tensor, Tensor, Tensor]:
+        """View, row and column inside the window of every texel, each (N,) int64."""
+        view, row, column = self.texels.unbind(dim=1)
+        return view, row - self.window[0], column - self.window[1]
+
+    def to_image(self, values: Tensor) -> Tensor:
+        """Per-texel values (N, C) -> window images (2, C, height, width), zero where there is no texel."""
+        view, row, column = self.window_texels
+        image = values.new_zeros(2, self.window[2], self.window[3], values.shape[1])
+        image[view, row, column] = values
+        return image.permute(0, 3, 1, 2)
+
+    def from_image(self, image: Tensor) -> Tensor:
+        """Window images (2, C, height, width) -> per-texel values (N, C)."""
+        view, row, column = self.window_texels
+        return image.permute(0, 2, 3, 1)[view, row, column]
+
+    def pixel_ids(self) -> Tensor:
+        """(N,) int64, one number per view and pixel of the global grid; layers that share a pixel share the id."""
+        view, row, column = self.texels.unbind(dim=1)
+        return (view * self.grid_size + row) * self.grid_size + column
+
+    def covered_by(self, others: list[LayerMaps]) -> Tensor:
+        """(N,) bool: texels whose map pixel also belongs to one of the `others`."""
+        covered = torch.zeros(len(self), dtype=torch.bool, device=self.texels.device)
+        for other in others:
+            covered |= torch.isin(self.pixel_ids(), other.pixel_ids())
+        return covered
+
+
+def _check(arrays: dict[str, np.ndarray], grid_size: int, where: str) -> None:
+    """Refuse arrays that do not fit together, before anything is indexed with them."""
+    needed = {*_FLOATS, "texels", "neighbours", "seams", "window"}
+    missing = sorted(needed - arrays.keys())
+    if missing:
+        raise _broken(f"The array {missing[0]!r} is missing.", where)
+    count = arrays["texels"].shape[0]
+    for name, shape in {**_FLOATS, "texels": (3,), "neighbours": (4,)}.items():
+        if arrays[name].shape != (count, *shape):
+            raise _broken(f"{name} has shape {arrays[name].shape}, not {(count, *shape)}.", where)
+    for name in _FLOATS:
+        if not np.isfinite(arrays[name]).all():
+            raise _broken(f"{name} holds NaN or infinity.", where)
+    if arrays["window"].shape != (4,) or arrays["seams"].ndim != 2 or arrays["seams"].shape[1] != 2:
+        raise _broken("window or seams has a wrong shape.", where)
+    row0, col0, height, width = (int(value) for value in arrays["window"])
+    low = np.array([0, row0, col0])
+    high = np.array([2, row0 + height, col0 + width])
+    texels = arrays["texels"]
+    inside = min(row0, col0) >= 0 and max(row0 + height, col0 + width) <= grid_size <= 1 << 15
+    if not inside or min(height, width) < 0 or (texels < low).any() or (texels >= high).any():
+        raise _broken("A texel lies outside the window, or the window outside the grid.", where)
+    neighbours, seams = arrays["neighbours"], arrays["seams"]
+    if (neighbours < -1).any() or (neighbours >= count).any() or (seams < 0).any() or (seams >= count).any():
+        raise _broken("neighbours or seams name a texel that does not exist.", where)
+
+
+def _broken(what: str, where: str) -> BadData:
+    return BadData(what, where, "Make the maps again with `gw bake-maps`.")

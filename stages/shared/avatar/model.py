@@ -1,0 +1,250 @@
+"""The learned part of one layer: free attributes per texel and networks for what depends on the pose.
+
+Every texel has base attributes (what plain splatting would optimise); StyleUNets read the posed positional
+map and answer a residual of all 14 attribute channels, zero at the start. With `base=False` the base
+attributes are the published constants and nothing but the networks learns.
+
+Channels, in this order: Δp 3 (times `offset_scale`, metres), quaternion 4, opacity logit 1, log scale 3,
+colour 3.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from stages.shared.avatar.deform import Attributes, unit_quaternions
+from stages.shared.avatar.maps import LayerMaps
+from stages.shared.avatar.positional import CosineMaps, PositionalMaps, network_grid
+from stages.shared.errors import BadData
+from stages.shared.nets.styleunet import StyleUNet, ViewNet
+
+CHANNELS = {"offset": (0, 3), "quaternion": (3, 7), "opacity": (7, 8), "scale": (8, 11), "color": (11, 14)}
+_MIN_SCALE = 1e-5
+_FLATNESS = 0.3
+
+
+@dataclass(frozen=True)
+class ModelConfig:
+    """Shape of one layer's model; the defaults are the economical ones, `PAPER_MODEL` the published ones.
+
+    Attributes:
+        heads: "joint" (one network, 14 channels) or "separate" (the published three: colour 3, offset 3,
+            other 8).
+        width: multiplier of the networks' feature widths. depth: encoder levels. style: length of the style.
+        factor: texels per network input pixel; 2 is the published ratio, more is cheaper (the output is
+            sampled bilinearly).
+        input_views: "front" or "both".
+        base: learn free attributes per texel beside the networks.
+        color: "sigmoid" bounds colours to 0..1, "linear" leaves them unbounded (published).
+        view_conditioning: colours see the cosine between normal and viewing direction (separate heads only).
+        offset_scale: metres per unit of network output. max_scale: m, ceiling of a Gaussian; 0 for none.
+    """
+
+    heads: str = "joint"
+    width: float = 0.125
+    depth: int = 4
+    style: int = 64
+    factor: int = 4
+    input_views: str = "both"
+    base: bool = True
+    color: str = "sigmoid"
+    view_conditioning: bool = False
+    offset_scale: float = 0.05
+    max_scale: float = 0.03
+
+
+PAPER_MODEL = ModelConfig(
+    heads="separate",
+    width=1.0,
+    depth=6,
+    style=512,
+    factor=2,
+    input_views="front",
+    base=False,
+    color="linear",
+    view_conditioning=True,
+    max_scale=0.0,
+)
+
+
+class LayerModel(nn.Module):
+    """Gaussian attributes of one layer for any pose.
+
+    Arguments:
+        maps: baked maps of the layer. config: shape of the model. seed: of the initial network weights.
+    """
+
+    base_offset: Tensor  # (N, 3) m
+    base_quaternion: Tensor  # (N, 4)
+    base_opacity: Tensor  # (N,) logit
+    base_scale: Tensor  # (N, 3) log m
+    base_color: Tensor  # (N, 3) logit, or plain with linear colours
+    sample_points: Tensor
+
+    def __init__(self, maps: LayerMaps, config: ModelConfig | None = None, seed: int = 0) -> None:
+        super().__init__()
+        config = config or ModelConfig()
+        self.model_config, self.layer = config, maps.layer
+        self.maps = maps
+        grid = network_grid(maps.window, config.factor, config.depth)
+        self.positional = PositionalMaps(maps, grid, config.input_views)
+        self.register_buffer("sample_points", _sample_points(maps, grid), persistent=False)
+        self._views = [maps.texels[:, 0] == view for view in range(2)]
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            outputs = (14,) if config.heads == "joint" else (3, 3, 8)
+            self.networks = nn.ModuleList(
+                StyleUNet(
+                    self.positional.channels,
+                    count,
+                    (grid.height, grid.width),
+                    config.depth,
+                    config.width,
+                    config.style,
+                )
+                for count in outputs
+            )
+            self.view_net = ViewNet(config.width) if config.view_conditioning else None
+        self.cosines = CosineMaps(maps, grid) if config.view_conditioning else None
+        for name, start in _start(maps, config).items():
+            if config.base:
+                self.register_parameter(f"base_{name}", nn.Parameter(start))
+            else:
+                self.register_buffer(f"base_{name}", start)
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """All that `from_state` needs beside maps and tensors; plain JSON."""
+        return {"layer": self.layer, "texels": len(self.maps), **asdict(self.model_config)}
+
+    def state(self) -> dict[str, Tensor]:
+        """Every learned tensor (and the networks' fixed noise), float32, contiguous, on the CPU."""
+        return {
+            name: tensor.detach().cpu().contiguous().clone() for name, tensor in self.state_dict().items()
+        }
+
+    @classmethod
+    def from_state(cls, config: dict[str, Any], maps: LayerMaps, tensors: dict[str, Tensor]) -> LayerModel:
+        """The model that `state` and `config` were taken from.
+
+        Raises BadData where they do not fit the maps.
+        """
+        where = f"model of layer {maps.layer}"
+        known = {field.name for field in fields(ModelConfig)}
+        unknown = sorted(config.keys() - known - {"layer", "texels"})
+        if unknown or config.get("texels") != len(maps):
+            problem = f"unknown setting {unknown[0]!r}" if unknown else "number of texels"
+            raise BadData(f"The model does not fit its maps ({problem}).", where, "Export or train it again.")
+        model = cls(maps, ModelConfig(**{name: config[name] for name in known if name in config}))
+        expected = {name: tuple(tensor.shape) for name, tensor in model.state_dict().items()}
+        given = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
+        if expected != given:
+            name = sorted(expected.items() ^ given.items())[0][0]
+            raise BadData(
+                f"The tensor {name!r} is missing, extra or of a wrong shape.", where, "Train it again."
+            )
+        model.load_state_dict(tensors)
+        return model
+
+    def base_parameters(self) -> dict[str, Tensor]:
+        """Free attributes by name (offset, quaternion, opacity, scale, color); empty when `base` is off."""
+        if not self.model_config.base:
+            return {}
+        return {name: getattr(self, f"base_{name}") for name in CHANNELS}
+
+    def residual(self, local_transforms: Tensor, cosines: Tensor | None = None) -> Tensor:
+        """Pose-dependent part (N, 14) of the channels above, raw network output.
+
+        `local_transforms` (55, 4, 4): pose without shape and root. `cosines` (N,): normal · viewing direction
+        of every texel, used only with view conditioning (without it the colour network sees no view feature).
+        """
+        image = self.positional(local_transforms)
+        if self.model_config.heads == "joint":
+            return self._sampled(self.networks[0](image)[0])
+        features = None
+        if self.view_net is not None and self.cosines is not None and cosines is not None:
+            front, back = self.view_net(self.cosines(cosines))
+            features = (front[None], back[None])
+        color = self._sampled(self.networks[0](image, features)[0])
+        offset = self._sampled(self.networks[1](image)[0])
+        other = self._sampled(self.networks[2](image)[0])
+        return torch.cat((offset, other[:, 4:8], other[:, 0:1], other[:, 1:4], color), dim=1)
+
+    def attributes(self, residual: Tensor) -> Attributes:
+        """Base attributes plus a residual (N, 14), through the heads' activations."""
+        part = {name: residual[:, low:high] for name, (low, high) in CHANNELS.items()}
+        config = self.model_config
+        log_scale = self.base_scale + part["scale"]
+        if config.max_scale > 0:
+            log_scale = log_scale.clamp(math.log(_MIN_SCALE), math.log(config.max_scale))
+        color = self.base_color + part["color"]
+        return Attributes(
+            offsets=self.base_offset + config.offset_scale * part["offset"],
+            quaternions=unit_quaternions(self.base_quaternion + part["quaternion"]),
+            scales=log_scale.exp(),
+            opacities=torch.sigmoid(self.base_opacity + part["opacity"][:, 0]),
+            colors=torch.sigmoid(color) if config.color == "sigmoid" else color,
+        )
+
+    def forward(self, local_transforms: Tensor, cosines: Tensor | None = None) -> Attributes:
+        """Attributes in a pose; arguments as in `residual`."""
+        return self.attributes(self.residual(local_transforms, cosines))
+
+    def _sampled(self, output: Tensor) -> Tensor:
+        """Network output (2, C, h, w) at every texel (N, C), bilinear."""
+        values = output.new_zeros(len(self.maps), output.shape[1])
+        for view, member in enumerate(self._views):
+            points = self.sample_points[member][None, None]
+            found = functional.grid_sample(
+                output[view : view + 1], points, mode="bilinear", padding_mode="border", align_corners=False
+            )
+            values = values.index_put((member.nonzero()[:, 0],), found[0, :, 0].T)
+        return values
+
+
+def _sample_points(maps: LayerMaps, grid: Any) -> Tensor:
+    """Where each texel lies on the network's images: (N, 2) x, y in −1..1 from edge to edge."""
+    _, row, column = maps.window_texels
+    x = (column + grid.column + 0.5) / (grid.width * grid.factor)
+    y = (row + grid.row + 0.5) / (grid.height * grid.factor)
+    return torch.stack((x, y), dim=1).float() * 2 - 1
+
+
+def _start(maps: LayerMaps, config: ModelConfig) -> dict[str, Tensor]:
+    """Initial base attributes: discs of the projected colours on the surface, or the published constants."""
+    count = len(maps)
+    log_spacing = maps.spacing.clamp(min=_MIN_SCALE).log()[:, None].repeat(1, 3)
+    quaternion = maps.positions.new_tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1)
+    if not config.base:
+        return {
+            "offset": maps.positions.new_zeros(count, 3),
+            "quaternion": quaternion,
+            "opacity": maps.positions.new_zeros(count),
+            "scale": log_spacing,
+            "color": maps.positions.new_zeros(count, 3),
+        }
+    log_spacing[:, 2] += math.log(_FLATNESS)
+    color = torch.logit(maps.colors.clamp(0.02, 0.98)) if config.color == "sigmoid" else maps.colors.clone()
+    return {
+        "offset": maps.positions.new_zeros(count, 3),
+        "quaternion": z_to(maps.normals),
+        "opacity": torch.full_like(maps.spacing, math.log(0.9 / 0.1)),
+        "scale": log_spacing,
+        "color": color,
+    }
+
+
+def z_to(normals: Tensor) -> Tensor:
+    """Unit quaternions (N, 4) wxyz that turn the z axis to `normals` (N, 3); a half turn about x for −z."""
+    normals = functional.normalize(normals, dim=1)
+    x, y, z = normals.unbind(dim=1)
+    quaternion = torch.stack((1 + z, -y, x, torch.zeros_like(x)), dim=1)  # (1 + z·n, z × n)
+    opposite = (1 + z) < 1e-6
+    quaternion = torch.where(opposite[:, None], quaternion.new_tensor([0.0, 1.0, 0.0, 0.0]), quaternion)
+    return functional.normalize(quaternion, dim=1)

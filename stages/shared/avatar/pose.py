@@ -1,0 +1,42 @@
+"""One frame's pose as the avatar needs it: bone transforms for the world and for the network's input."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from stages.shared.body import BodyModel, posed_from_canonical
+
+
+@dataclass(frozen=True)
+class FramePose:
+    """Pose of one frame.
+
+    Attributes:
+        transforms: (55, 4, 4) posed_from_canonical with shape, root rotation and translation: canonical to
+            world.
+        local_transforms: (55, 4, 4) the same pose with zero shape and without root rotation and translation.
+        betas: (10,) shape.
+    """
+
+    transforms: Tensor
+    local_transforms: Tensor
+    betas: Tensor
+
+    def to(self, device: torch.device | str) -> FramePose:
+        """The same pose on `device`."""
+        return FramePose(self.transforms.to(device), self.local_transforms.to(device), self.betas.to(device))
+
+
+def frame_pose(body: BodyModel, rotations: Tensor, translation: Tensor, betas: Tensor) -> FramePose:
+    """Pose from joint rotations (55, 3) axis-angle rad, root translation (3,) m and shape (10,)."""
+    local = rotations.clone()
+    local[0] = 0.0
+    zero = torch.zeros_like(translation)
+    return FramePose(
+        transforms=posed_from_canonical(body, rotations, translation, betas),
+        local_transforms=posed_from_canonical(body, local, zero, torch.zeros_like(betas)),
+        betas=betas,
+    )

@@ -1,0 +1,143 @@
+"""Layer model: starts at the baked surface, keeps its state, answers to the pose."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+import torch
+
+from stages.shared.avatar.compose import compose
+from stages.shared.avatar.deform import pose_layer, rotation_matrices
+from stages.shared.avatar.model import PAPER_MODEL, LayerModel, ModelConfig, z_to
+from stages.shared.avatar.positional import PositionalMaps, network_grid
+from stages.shared.errors import BadData
+from tests.shared.avatar.tubes import tube
+
+SMALL = ModelConfig(width=0.0625, depth=2, style=8, factor=4)
+SEPARATE = ModelConfig(
+    heads="separate",
+    width=0.0625,
+    depth=2,
+    style=8,
+    factor=2,
+    input_views="front",
+    base=False,
+    color="linear",
+    view_conditioning=True,
+)
+
+
+def _pose(angle: float = 0.0) -> torch.Tensor:
+    transforms = torch.eye(4).repeat(55, 1, 1)
+    half = torch.tensor([angle / 2])
+    transforms[3, :3, :3] = rotation_matrices(torch.stack((half.cos(), half.sin(), half * 0, half * 0), 1))[0]
+    return transforms
+
+
+def _learned(model: LayerModel) -> LayerModel:
+    with torch.no_grad():
+        for parameter in model.parameters():
+            parameter.add_(0.1 * torch.randn(parameter.shape, generator=torch.Generator().manual_seed(1)))
+    return model
+
+
+def test_fresh_model_is_the_baked_surface() -> None:
+    maps = tube()
+    attributes = LayerModel(maps, SMALL)(_pose(0.7))
+    assert attributes.offsets.abs().max() == 0
+    assert torch.allclose(attributes.colors, maps.colors.clamp(0.02, 0.98), atol=1e-5)
+    discs = rotation_matrices(attributes.quaternions)[:, :, 2]
+    assert torch.allclose(discs, maps.normals, atol=1e-5)
+    assert torch.allclose(attributes.scales[:, 0], maps.spacing, atol=1e-6)
+
+
+def test_published_constants_without_base_attributes() -> None:
+    maps = tube()
+    model = LayerModel(maps, SEPARATE)
+    attributes = model(_pose(), torch.ones(len(maps)))
+    assert not model.base_parameters()
+    assert torch.allclose(attributes.opacities, torch.full_like(attributes.opacities, 0.5))
+    assert torch.allclose(attributes.scales, maps.spacing[:, None].expand(-1, 3), atol=1e-6)
+    assert torch.equal(attributes.quaternions, torch.tensor([[1.0, 0, 0, 0]]).expand(len(maps), 4))
+
+
+def test_published_model_is_called_by_its_sizes() -> None:
+    window = (100, 100, 1024, 1024)
+    grid = network_grid(window, PAPER_MODEL.factor, PAPER_MODEL.depth)
+    assert (grid.height, grid.width) == (512, 512)
+
+
+@pytest.mark.parametrize("config", [SMALL, SEPARATE])
+def test_state_round_trip_is_exact(config: ModelConfig) -> None:
+    maps = tube()
+    model = _learned(LayerModel(maps, config, seed=5))
+    settings = json.loads(json.dumps(model.config))
+    again = LayerModel.from_state(settings, maps, model.state())
+    first, second = model(_pose(0.4)), again(_pose(0.4))
+    for name in ("offsets", "quaternions", "scales", "opacities", "colors"):
+        assert torch.equal(getattr(first, name), getattr(second, name)), name
+
+
+def test_state_of_another_layer_is_refused() -> None:
+    model = LayerModel(tube(), SMALL)
+    other = tube("upper", radius=0.2)
+    with pytest.raises(BadData):
+        LayerModel.from_state(model.config, other, model.state())
+    with pytest.raises(BadData):
+        LayerModel.from_state({**model.config, "width": 0.25}, tube(), model.state())
+    with pytest.raises(BadData):
+        LayerModel.from_state({**model.config, "colour": 1}, tube(), model.state())
+
+
+def test_output_follows_the_pose_and_every_parameter_gets_a_gradient() -> None:
+    maps = tube()
+    for config in (SMALL, SEPARATE):
+        model = _learned(LayerModel(maps, config))
+        still = model(_pose(0.0), torch.full((len(maps),), 0.5))
+        bent = model(_pose(0.9), torch.full((len(maps),), 0.5))
+        assert (still.offsets - bent.offsets).abs().max() > 1e-5
+        total = sum(
+            (value.square() * torch.randn_like(value)).sum()
+            for value in (bent.offsets, bent.quaternions, bent.scales, bent.opacities, bent.colors)
+        )
+        total.backward()
+        for name, parameter in model.named_parameters():
+            assert parameter.grad is not None and torch.isfinite(parameter.grad).all(), name
+            assert parameter.grad.abs().sum() > 0, name
+
+
+def test_view_angle_changes_colour_only() -> None:
+    maps = tube()
+    model = _learned(LayerModel(maps, SEPARATE))
+    near, far = model(_pose(), torch.ones(len(maps))), model(_pose(), torch.zeros(len(maps)))
+    assert (near.colors - far.colors).abs().max() > 1e-6
+    assert torch.equal(near.offsets, far.offsets) and torch.equal(near.scales, far.scales)
+
+
+def test_positional_map_of_the_canonical_pose_is_the_surface() -> None:
+    maps = tube()
+    grid = network_grid(maps.window, 1, 2)
+    image = PositionalMaps(maps, grid, "both")(torch.eye(4).repeat(55, 1, 1))
+    assert image.shape == (1, 6, grid.height, grid.width)
+    front = image[0, :3, grid.row : grid.row + maps.window[2], grid.column : grid.column + maps.window[3]]
+    assert torch.allclose(front, maps.to_image(maps.positions)[0], atol=1e-6)
+    assert image.abs().sum() == pytest.approx(maps.positions.abs().sum().item(), rel=1e-4)
+
+
+def test_discs_for_any_normal() -> None:
+    normals = torch.tensor([[0, 0, 1.0], [0, 0, -1], [1, 0, 0], [0, -1, 0], [0.6, 0, -0.8], [1e-8, 0, -1]])
+    assert torch.allclose(rotation_matrices(z_to(normals))[:, :, 2], normals, atol=1e-6)
+
+
+def test_compose_labels_every_gaussian() -> None:
+    layers = {"body": tube(), "upper": tube("upper", radius=0.2, low=0.0)}
+    posed = {
+        name: pose_layer(maps, LayerModel(maps, SMALL)(_pose()), _pose(), torch.zeros(10))
+        for name, maps in layers.items()
+    }
+    composite = compose(posed)
+    assert composite.layers == ("body", "upper")
+    assert composite.features.shape == (len(composite.means), 5)
+    assert composite.features[:, 3].sum() == len(layers["body"])
+    assert torch.equal(composite.features[:, 3:].argmax(dim=1), composite.layer_ids)

@@ -1,4 +1,4 @@
-"""The artifact store: what stages hand each other is whole or absent, named by what made it, and never half-written."""
+"""The artifact store: what stages hand each other, whole or absent, and named by what made it."""
 
 from stages.shared.artifacts.artifact import Artifact
 from stages.shared.artifacts.build import Build

@@ -1,4 +1,4 @@
-"""Arrays on disk: safetensors, written with the same bytes for the same content and read with every claim checked.
+"""Arrays on disk: safetensors; the same content gives the same bytes, and no claim is believed unchecked.
 
 Layout of a file: 8 bytes little-endian header length, a JSON header (name to dtype, shape, offsets), then the
 arrays without gaps. Wider types stand first, so every array is aligned and can be used where it was read.
@@ -36,7 +36,9 @@ _NAMES = {np.dtype(dtype): name for name, dtype in _DTYPES.items()}
 Arrays = dict[str, np.ndarray]
 
 
-def encode_arrays(arrays: Mapping[str, Any], where: str, notes: Mapping[str, str] | None = None) -> list[memoryview]:
+def encode_arrays(
+    arrays: Mapping[str, Any], where: str, notes: Mapping[str, str] | None = None
+) -> list[memoryview]:
     """The bytes of a safetensors file, as chunks that can be written one after the other.
 
     Arguments:
@@ -62,9 +64,11 @@ def encode_arrays(arrays: Mapping[str, Any], where: str, notes: Mapping[str, str
     text = canonical_json(header)
     text += b" " * (-len(text) % 8)
     if len(text) > MAX_HEADER_BYTES:
-        raise BadData(f"The header takes {len(text)} bytes, more than {MAX_HEADER_BYTES}.", where, "Use fewer arrays.")
+        raise BadData(
+            f"The header takes {len(text)} bytes, more than {MAX_HEADER_BYTES}.", where, "Use fewer arrays."
+        )
     chunks = [memoryview(struct.pack("<Q", len(text)) + text)]
-    chunks += [memoryview(ready[name].reshape(-1)).cast("B") for name in ordered if ready[name].size]
+    chunks += [ready[name].reshape(-1).view(np.uint8).data for name in ordered if ready[name].size]
     return chunks
 
 
@@ -80,7 +84,7 @@ def _ready(name: str, value: Any, where: str) -> np.ndarray:
     if array.dtype.kind == "f" and not np.isfinite(array).all():
         wrong = np.argwhere(~np.isfinite(array))
         raise BadData(
-            f"{len(wrong)} of {array.size} values are not finite numbers, the first at index {wrong[0].tolist()}.",
+            f"{len(wrong)} of {array.size} values are not finite, the first at index {wrong[0].tolist()}.",
             f"{where}, array {name!r}",
             "Look at the inputs of this step; nothing was written.",
         )
@@ -88,7 +92,7 @@ def _ready(name: str, value: Any, where: str) -> np.ndarray:
 
 
 def describe_arrays(arrays: Mapping[str, Any], about: Mapping[str, str]) -> dict[str, Any]:
-    """What the manifest says of each array: shape, dtype, the `about` text (unit, frame), least and largest value.
+    """What the manifest says of each array: shape, dtype, `about` text (unit, frame), least and largest.
 
     Raises:
         ValueError: `about` speaks of an array that is not there.
@@ -119,11 +123,11 @@ def decode_arrays(data: bytearray, path: Path) -> tuple[Arrays, dict[str, str]]:
     notes = header.pop("__metadata__", {})
     if not isinstance(notes, dict) or not all(isinstance(text, str) for text in notes.values()):
         raise _damaged(path, "the notes in its header are not texts")
-    spans = sorted(((*_span(name, entry, path), name) for name, entry in header.items()), key=lambda span: span[:2])
+    spans = sorted((*_span(name, entry, path), name) for name, entry in header.items())
     expected = 0
     for begin, end, name in spans:
         if begin != expected:
-            raise _damaged(path, f"its data does not begin where the one before ends, at byte {expected}", name)
+            raise _damaged(path, f"its data does not begin where the last ended, at byte {expected}", name)
         expected = end
     if start + expected != len(data):
         raise _damaged(path, f"its arrays take {expected} bytes, but the file holds {len(data) - start}")

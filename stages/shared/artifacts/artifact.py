@@ -103,7 +103,7 @@ class Artifact:
         return bytes(self._read(self._name(name, "")))
 
     def file(self, name: str) -> Path:
-        """Path of a file after its content was checked, for libraries that open files themselves. Raises as `arrays`."""
+        """Path of a file whose content was checked, for libraries that open files. Raises as `arrays`."""
         name = self._name(name, "")
         if name not in self._verified:
             if file_digest(self.path / name) != self.manifest.files[name].sha256:
@@ -136,7 +136,7 @@ class Artifact:
         return BadData(
             f"A file of a finished artifact is damaged: {what}.",
             str(self.path / name),
-            f"Run `gw {self.path.parent.name}` again with --force; `gw verify` lists everything that is damaged.",
+            f"Run `gw {self.path.parent.name}` again with --force; `gw verify` lists all that is damaged.",
         )
 
     def __repr__(self) -> str:

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from stages.shared.artifacts.workspace import Workspace
 
 TEMPORARY = ".tmp-"
-_LIBRARIES = ("numpy", "torch", "scipy", "open3d", "igl", "trimesh", "cv2", "numba", "safetensors", "roma", "av")
+_LIBRARIES = ("numpy", "torch", "scipy", "open3d", "igl", "trimesh", "cv2", "numba", "roma", "av")
 
 
 class Build:
@@ -65,8 +65,10 @@ class Build:
         config: Any,
         inputs: Mapping[str, InputEntry],
         listings: Mapping[str, dict[str, str]],
+        force: bool = False,
     ) -> None:
         self._workspace = workspace
+        self._force = force
         self._manifest = Manifest(spec.name, spec.schema, spec.code_version, plain(config), dict(inputs))
         self._listings = listings
         self._measured: dict[str, Any] = {}
@@ -163,7 +165,7 @@ class Build:
         flush_folder(self.path)
         final = self._workspace.root / self._manifest.stage / self._manifest.key
         make_folders(final.parent)
-        if self._is_there(final):
+        if not self._force and self._is_there(final):
             remove_folder(self.path)
         else:
             replace_folder(self.path, final)

@@ -54,8 +54,9 @@ def plain(value: Any) -> Any:
 
 def canonical_json(value: Any) -> bytes:
     """The one text of a value: sorted names, no spaces, UTF-8."""
-    text = json.dumps(plain(value), sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
-    return text.encode()
+    return json.dumps(
+        plain(value), sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False
+    ).encode()
 
 
 def readable_json(value: Any) -> bytes:

@@ -15,7 +15,7 @@ from stages.shared.artifacts.files import write_whole
 from stages.shared.errors import MissingInput, StorageFailure
 
 READ_BYTES = 1 << 20
-# A file changed again within this time after it was hashed could keep its time stamp, so it is not remembered.
+# A file changed again within this time of being hashed could keep its time stamp: it is not remembered.
 _SETTLED_NANOSECONDS = 2_000_000_000
 CACHE_NAME = ".digests.json"
 
@@ -91,15 +91,15 @@ def unreadable(path: Path, error: OSError) -> MissingInput | StorageFailure:
     if isinstance(error, FileNotFoundError | NotADirectoryError):
         return MissingInput("An input file is not there.", str(path), "Put it back, or give another input.")
     if isinstance(error, IsADirectoryError):
-        return MissingInput("An input file is a folder.", str(path), "Put the file back, or give another input.")
-    return StorageFailure(f"Reading failed: {error.strerror or error}.", str(path), "Check the file and its permissions.")
+        return MissingInput("An input file is a folder.", str(path), "Put the file back, or give another.")
+    return StorageFailure(f"Reading failed: {error.strerror or error}.", str(path), "Check its permissions.")
 
 
 class DigestCache:
     """Digests of files that have not changed since they were read, so that `gw status` is quick.
 
-    A file is taken for unchanged while its size, its times of change, and its inode stay the same. The cache is only
-    a shortcut: without it everything is read again.
+    A file is taken for unchanged while its size, its times of change, and its inode stay the same. The cache
+    is only a shortcut: without it everything is read again.
     """
 
     def __init__(self, workspace: Path) -> None:
@@ -113,7 +113,7 @@ class DigestCache:
         name = os.path.relpath(path, self._folder)
         before = _signature(path)
         known = self._known.get(name)
-        if known is not None and known[:-1] == before:
+        if known is not None and known[:-1] == list(before):
             return str(known[-1])
         found = file_digest(path)
         settled = time.time_ns() - max(before[1], before[2]) > _SETTLED_NANOSECONDS
@@ -141,9 +141,9 @@ class DigestCache:
         return known if usable else {}
 
 
-def _signature(path: Path) -> list[int | str]:
+def _signature(path: Path) -> tuple[int, int, int, int]:
     try:
         found = path.stat()
     except OSError as error:
         raise unreadable(path, error) from error
-    return [found.st_size, found.st_mtime_ns, found.st_ctime_ns, found.st_ino]
+    return found.st_size, found.st_mtime_ns, found.st_ctime_ns, found.st_ino

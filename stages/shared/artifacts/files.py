@@ -49,7 +49,7 @@ class FileLayer:
 
     def rename(self, source: Path, target: Path) -> None:
         """Atomic on one file system: the target is the old one or the new one, never half."""
-        os.rename(source, target)
+        source.rename(target)
 
     def make_folder(self, path: Path) -> None:
         """A new folder; its parent exists."""
@@ -267,6 +267,6 @@ def replace_folder(source: Path, target: Path) -> None:
         rename(source, target)
     except BaseException:
         if not target.exists():
-            os.rename(aside, target)
+            aside.rename(target)
         raise
     remove_folder(aside)

@@ -35,7 +35,8 @@ _guard = threading.Lock()
 def acquire(workspace: Path, on_first: Callable[[], None] = lambda: None) -> None:
     """Become the writer of a workspace, or count one more use if this thread is it already.
 
-    The operating system lets go of the lock when its process ends, however it ends, so a dead owner is no hindrance.
+    The operating system lets go of the lock when its process ends, however it ends, so a dead owner is no
+    hindrance.
 
     Arguments:
         on_first: called once the lock is newly held, e.g. to clear what a killed process left behind.

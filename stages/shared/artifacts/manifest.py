@@ -26,7 +26,7 @@ class FileEntry:
 
 @dataclass(frozen=True)
 class InputEntry:
-    """One input: another artifact (`stage` is set) or external files (`root` names a setting, `listing` a file)."""
+    """One input: another artifact (`stage`, `key`), or external files (`root`: setting, `listing`: file)."""
 
     digest: str
     stage: str | None = None
@@ -87,7 +87,7 @@ def read_manifest(folder: Path) -> Manifest:
     value = unseal(data, path)
     if value.pop("store", None) != STORE_MAJOR:
         raise BadData(
-            f"This artifact was written by another version of the store (this gw reads version {STORE_MAJOR}).",
+            f"This artifact was written for another version of the store than {STORE_MAJOR}.",
             str(path),
             "Use the gw that wrote it, or run the stage again.",
         )

@@ -20,7 +20,8 @@ def encode_png(picture: np.ndarray) -> bytes:
     picture = np.ascontiguousarray(picture)
     if picture.ndim == 2:
         picture = picture[:, :, None]
-    if picture.ndim != 3 or picture.dtype != np.uint8 or picture.shape[2] not in _COLOR_TYPES or not picture.size:
+    shape_fits = picture.ndim == 3 and picture.shape[2] in _COLOR_TYPES and picture.size > 0
+    if not shape_fits or picture.dtype != np.uint8:
         raise ValueError(f"a picture is (H, W, 1, 3 or 4) uint8, not {picture.shape} {picture.dtype}")
     height, width, channels = picture.shape
     rows = np.empty((height, 1 + width * channels), np.uint8)

@@ -1,8 +1,7 @@
-"""Work of a long stage that survives a kill: a folder of atomically replaced files, kept until the artifact is done."""
+"""Work of a long stage that survives a kill: atomically replaced files, kept until the artifact is done."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
@@ -20,8 +19,8 @@ _DIGEST_NOTE = "content_sha256"
 class Progress:
     """Context manager holding the workspace's lock; what is in its folder is there again after a crash.
 
-    Every file is replaced whole. What must be consistent with each other (weights, moments, the step they belong to)
-    goes into one file: `write_arrays(name, arrays, note)`.
+    Every file is replaced whole. What belongs together (weights, moments, the step they are of) goes into one
+    file: `write_arrays(name, arrays, note)`.
 
     Attributes:
         path: the folder.
@@ -81,7 +80,7 @@ class Progress:
         write_whole(self._path(name), data)
 
     def append_line(self, name: str, value: Any) -> None:
-        """Add one JSON object as a line, in a single write. Not flushed to the disk: lines are told again on resume."""
+        """Add one JSON object as a line, in a single write. Survives a kill, not a power cut."""
         append_whole(self._path(name), canonical_json(value) + b"\n")
 
     def lines(self, name: str) -> list[Any]:
@@ -124,18 +123,7 @@ class Progress:
     @staticmethod
     def _damaged(path: Path) -> BadData:
         return BadData(
-            "A file of unfinished work is damaged.", str(path), f"Remove the folder {path.parent} and start again."
+            "A file of unfinished work is damaged.",
+            str(path),
+            "Run the same command with --force to start anew.",
         )
-
-
-def count_lines(path: Path) -> int:
-    """Number of whole JSON lines of a file, 0 if there is none."""
-    return sum(1 for line in path.read_bytes().splitlines() if _is_json(line)) if path.exists() else 0
-
-
-def _is_json(line: bytes) -> bool:
-    try:
-        json.loads(line)
-    except ValueError:
-        return False
-    return True

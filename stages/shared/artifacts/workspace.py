@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,15 @@ from typing import Any
 from stages.shared.artifacts import lock
 from stages.shared.artifacts.artifact import Artifact
 from stages.shared.artifacts.build import TEMPORARY, Build
-from stages.shared.artifacts.canonical import artifact_key, plain, readable_json, seal, strict_json, unseal
+from stages.shared.artifacts.canonical import (
+    KEY_LENGTH,
+    artifact_key,
+    plain,
+    readable_json,
+    seal,
+    strict_json,
+    unseal,
+)
 from stages.shared.artifacts.external import DigestCache, ExternalFiles, listing_digest
 from stages.shared.artifacts.files import make_folders, remove_folder, write_whole
 from stages.shared.artifacts.manifest import InputEntry, is_plain_name
@@ -21,16 +30,17 @@ from stages.shared.errors import BadData, MissingInput
 SETTINGS_NAME = "subject.json"
 CURRENT_NAME = "current.json"
 _PROGRESS = ".progress-"
+_KEY = re.compile(rf"[0-9a-f]{{{KEY_LENGTH}}}")
 Inputs = Mapping[str, Artifact | ExternalFiles]
 
 
 class Workspace:
     """The folder of one subject.
 
-        subject.json                    where the capture is, relative to this folder
-        <stage>/current.json            which artifact of the stage is in use
-        <stage>/<key>/manifest.json     a finished artifact: whole, read-only, named by what made it
-        .<stage>.tmp-…  .<stage>.progress-…    work that is not finished
+    - `subject.json`: where the capture is, relative to this folder
+    - `<stage>/current.json`: which artifact of the stage is in use
+    - `<stage>/<key>/manifest.json`, …: a finished artifact, whole, read-only, named by what made it
+    - `.<stage>.tmp-…`, `.<stage>.progress-…`: work that is not finished
     """
 
     def __init__(self, root: Path | str) -> None:
@@ -92,10 +102,10 @@ class Workspace:
         return artifact
 
     def build(self, spec: StageSpec, config: Any, inputs: Inputs, force: bool = False) -> Build:
-        """Make an artifact: `with workspace.build(...) as build: build.write_arrays(...)`, then `build.artifact`.
+        """Make an artifact: `with workspace.build(...) as build: build.write_arrays(...)`; `build.artifact`.
 
-        Takes the lock for the length of the block. With `force`, unfinished work of the same key is thrown away when
-        the artifact is done, and an artifact already there is replaced if its content differs.
+        Takes the lock for the length of the block. An artifact already there under the same key stays if its
+        content is whole and the same, unless `force` is set.
 
         Raises:
             Locked: another process writes to this workspace.
@@ -107,12 +117,13 @@ class Workspace:
         entries, listings = self._entries(inputs, cache)
         cache.save()
         self._remember_roots(inputs)
-        return Build(self, spec, config, entries, listings)
+        return Build(self, spec, config, entries, listings, force)
 
     def progress(self, spec: StageSpec, config: Any, inputs: Inputs, force: bool = False) -> Progress:
-        """Folder for unfinished work of a long stage, the same one again after a crash: `with workspace.progress(...)`.
+        """Folder for unfinished work of a long stage: `with workspace.progress(...)`.
 
-        It disappears when the artifact of the same configuration and inputs is finished. `force` starts it empty.
+        The same configuration and inputs give the same folder again after a crash, until their artifact is
+        finished. `force` starts it empty.
 
         Raises:
             Locked: another process writes to this workspace.
@@ -146,19 +157,20 @@ class Workspace:
                 raise ValueError("not an object")
         except ValueError as error:
             raise BadData(
-                f"The subject's settings cannot be read: {error}.", str(path), "Mend it, or register the capture again."
+                f"The subject's settings cannot be read: {error}.", str(path), "Mend it, or register again."
             ) from error
         return value
 
     def save_settings(self, **values: Any) -> None:
-        """Add to `subject.json`. Paths are stored relative to the workspace, so that both can be moved together.
+        """Add to `subject.json`. Paths become relative to the workspace, so that both can be moved together.
 
         Raises:
             Locked: another process writes to this workspace.
         """
-        values = {name: self.relative(value) if isinstance(value, Path) else value for name, value in values.items()}
+        texts = {name: self.relative(value) for name, value in values.items() if isinstance(value, Path)}
+        values = plain(values | texts)
         settings = self.settings()
-        if settings | plain(values) == settings and (self.root / SETTINGS_NAME).exists():
+        if settings | values == settings and (self.root / SETTINGS_NAME).exists():
             return
         lock.acquire(self.root, self.clear_leftovers)
         try:
@@ -175,7 +187,7 @@ class Workspace:
         text = self.settings().get(name)
         if not isinstance(text, str):
             raise MissingInput(
-                f"This subject has no {name}.", str(self.root / SETTINGS_NAME), "Register one: gw register-template."
+                f"This subject has no {name}.", str(self.root / SETTINGS_NAME), "Run gw register-template."
             )
         path = Path(os.path.normpath(self.root / text))
         if not path.exists():
@@ -215,9 +227,7 @@ class Workspace:
 
     def artifacts(self) -> list[Path]:
         """Folders of all finished artifacts, in use or not."""
-        pointers = sorted(self.root.glob(f"*/{CURRENT_NAME}"))
-        stages = sorted({pointer.parent for pointer in pointers} | {p.parents[1] for p in self.root.glob("*/*/manifest.json")})
-        return [folder for stage in stages for folder in sorted(stage.iterdir()) if folder.is_dir()]
+        return sorted(folder for folder in self.root.glob("*/*/") if _KEY.fullmatch(folder.name))
 
     def point_at(self, artifact: Artifact) -> None:
         """Put an artifact in use. The caller holds the lock."""
@@ -257,13 +267,32 @@ class Workspace:
             file = f"inputs/{name.replace('/', '-')}.json"
             listings[file] = listing
             entries[name] = InputEntry(
-                listing_digest(listing), root=given.setting, listing=file, count=len(listing)
+                listing_digest(listing), root=self._root_setting(given), listing=file, count=len(listing)
             )
         return entries, listings
 
     def _remember_roots(self, inputs: Inputs) -> None:
         """Write into `subject.json` where external files are, unless it says so already."""
-        settings = self.settings()
         for given in inputs.values():
-            if isinstance(given, ExternalFiles) and given.setting not in settings:
-                self.save_settings(**{given.setting: given.root})
+            if isinstance(given, ExternalFiles):
+                name = self._root_setting(given)
+                if not self._leads_to(name, given.root):
+                    self.save_settings(**{name: given.root})
+
+    def _root_setting(self, given: ExternalFiles) -> str:
+        """Name of the setting that says where these files are.
+
+        The one the group is named after; a second name only where the first leads to something else that is
+        there, e.g. to a file in that folder.
+        """
+        text = self.settings().get(given.setting)
+        taken = (
+            text is not None
+            and (self.root / str(text)).exists()
+            and not self._leads_to(given.setting, given.root)
+        )
+        return f"{given.setting}_root" if taken else given.setting
+
+    def _leads_to(self, setting: str, folder: Path) -> bool:
+        text = self.settings().get(setting)
+        return isinstance(text, str) and (self.root / text).resolve() == folder.resolve()

@@ -1,0 +1,47 @@
+"""`gw verify`: is every byte still what was written?"""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gw_cli.console import Console, command
+from gw_cli.options import Json
+
+
+def register(app: typer.Typer) -> None:
+    @app.command("verify")
+    @command
+    def verify(
+        path: Annotated[Path, typer.Argument(help="Workspace folder of a subject.", metavar="SUBJECT")],
+        as_json: Json = False,
+    ) -> None:
+        """Read every finished artifact of a subject and compare it with the digests it was written with.
+
+        Ends with exit code 65 if anything is damaged. Nothing is changed.
+        """
+        from stages.shared.artifacts.verify import verify as verify_workspace
+        from stages.shared.artifacts.workspace import Workspace
+        from stages.shared.errors import BadData
+
+        console = Console(as_json)
+        found = verify_workspace(Workspace(path))
+        for damage in found.damaged:
+            console.warn(f"{damage.path}: {damage.what}")
+        console.result(
+            dataclasses.asdict(found) if as_json else _counts(found.artifacts, found.files, found.bytes)
+        )
+        if found.damaged:
+            first = found.damaged[0]
+            raise BadData(
+                f"{len(found.damaged)} damaged: {first.what}".rstrip(".") + ".",
+                str(first.path),
+                f"Run `gw status {path}`; it says which stage to run again.",
+            )
+
+
+def _counts(artifacts: int, files: int, size: int) -> dict[str, int]:
+    return {"artifacts": artifacts, "files": files, "bytes": size}

@@ -129,7 +129,7 @@ class LayerMaps:
         return image.permute(0, 2, 3, 1)[view, row, column]
 
     def pixel_ids(self) -> Tensor:
-        """(N,) int64, one number per view and pixel of the global grid; layers that share a pixel share the id."""
+        """(N,) int64, one number per view and pixel of the global grid, the same in every layer."""
         view, row, column = self.texels.unbind(dim=1)
         return (view * self.grid_size + row) * self.grid_size + column
 

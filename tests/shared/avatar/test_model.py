@@ -8,8 +8,9 @@ import pytest
 import torch
 
 from stages.shared.avatar.compose import compose
+from stages.shared.avatar.config import PAPER_MODEL, ModelConfig
 from stages.shared.avatar.deform import pose_layer, rotation_matrices
-from stages.shared.avatar.model import PAPER_MODEL, LayerModel, ModelConfig, z_to
+from stages.shared.avatar.model import LayerModel, z_to
 from stages.shared.avatar.positional import PositionalMaps, network_grid
 from stages.shared.errors import BadData
 from tests.shared.avatar.tubes import tube

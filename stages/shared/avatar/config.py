@@ -1,0 +1,49 @@
+"""Sizes and kinds of a layer's model; light, so that command lines can read presets without torch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class ModelConfig:
+    """Shape of one layer's model; the defaults are the economical ones, `PAPER_MODEL` the published ones.
+
+    Attributes:
+        heads: "joint" (one network, 14 channels) or "separate" (the published three: colour 3, offset 3,
+            other 8).
+        width: multiplier of the networks' feature widths. depth: encoder levels. style: length of the style.
+        factor: texels per network input pixel; 2 is the published ratio, more is cheaper (the output is
+            sampled bilinearly).
+        input_views: "front" or "both".
+        base: learn free attributes per texel beside the networks.
+        color: "sigmoid" bounds colours to 0..1, "linear" leaves them unbounded (published).
+        view_conditioning: colours see the cosine between normal and viewing direction (separate heads only).
+        offset_scale: metres per unit of network output. max_scale: m, ceiling of a Gaussian; 0 for none.
+    """
+
+    heads: str = "joint"
+    width: float = 0.125
+    depth: int = 4
+    style: int = 64
+    factor: int = 4
+    input_views: str = "both"
+    base: bool = True
+    color: str = "sigmoid"
+    view_conditioning: bool = False
+    offset_scale: float = 0.05
+    max_scale: float = 0.03
+
+
+PAPER_MODEL = ModelConfig(
+    heads="separate",
+    width=1.0,
+    depth=6,
+    style=512,
+    factor=2,
+    input_views="front",
+    base=False,
+    color="linear",
+    view_conditioning=True,
+    max_scale=0.0,
+)

@@ -1,0 +1,37 @@
+"""Outer layers stay outside inner ones: max(ε − (p − p̄)·n̄, 0)² (Gaussian Wardrobe, sec. 3.4).
+
+p̄ is the nearest posed Gaussian of the inner layer and n̄ its estimated normal; both are held fixed, so that
+the garment gives way and not the body. The mean runs over all outer points, so an empty set of violations is 0.
+"""
+
+from __future__ import annotations
+
+import torch
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+
+def nearest_inner(outer: Tensor, inner: Tensor) -> Tensor:
+    """Index (N,) int64 of the inner point (M, 3) nearest to each outer point (N, 3); M must not be 0."""
+    tree = cKDTree(inner.detach().cpu().numpy(), balanced_tree=False, compact_nodes=False)
+    _, nearest = tree.query(outer.detach().cpu().numpy())
+    return torch.from_numpy(nearest).to(outer.device)
+
+
+def penetration_loss(
+    outer: Tensor, inner: Tensor, inner_normals: Tensor, margin: float = 0.005, reach: float = 0.1
+) -> Tensor:
+    """Mean hinge over the outer points.
+
+    Arguments:
+        outer: (N, 3) m. inner: (M, 3) m. inner_normals: (M, 3) unit, zero where unknown.
+        margin: ε, m. reach: m, inner points farther away than this belong to another limb and do not count.
+    """
+    if len(outer) == 0 or len(inner) == 0:
+        return outer.sum() * 0.0
+    nearest = nearest_inner(outer, inner)
+    anchor, normal = inner.detach()[nearest], inner_normals.detach()[nearest]
+    away = outer - anchor
+    height = (away * normal).sum(dim=1)
+    counts = (away.detach().norm(dim=1) < reach) & (normal.square().sum(dim=1) > 0.25)
+    return ((margin - height).clamp(min=0.0).square() * counts).mean()

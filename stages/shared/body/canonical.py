@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 
 from stages.shared.body.kinematics import (
-    constant,
     bone_transforms,
+    constant,
     rigid_inverse,
     shaped_joints,
 )

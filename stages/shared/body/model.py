@@ -147,7 +147,9 @@ def _check(model: BodyModel) -> None:
         ("joint_regressor", model.joint_regressor.sum(axis=1)),
     ):
         if np.abs(axis_sum - 1).max() > 1e-2:
-            raise _bad(f"Rows of {name} do not sum to 1.", f"{model.source}, row {np.abs(axis_sum - 1).argmax()}")
+            raise _bad(
+                f"Rows of {name} do not sum to 1.", f"{model.source}, row {np.abs(axis_sum - 1).argmax()}"
+            )
     if model.skin_weights.min() < -1e-6:
         raise _bad("skin_weights contain negative values.", model.source)
 
@@ -162,9 +164,12 @@ def check_parents(parents: NDArray[Any], source: str) -> None:
     if wrong:
         joint = wrong[0]
         raise _bad(
-            f"Joint {joint} hangs on joint {flat[joint]}, in the SMPL-X convention on {PARENTS[joint]}.", source
+            f"Joint {joint} hangs on joint {flat[joint]}, in the SMPL-X convention on {PARENTS[joint]}.",
+            source,
         )
 
 
 def _bad(what: str, where: str) -> BadData:
-    return BadData(what, where, "Give a body model in the SMPL-X convention (55 joints, 10 or more shape directions).")
+    return BadData(
+        what, where, "Give a body model in the SMPL-X convention (55 joints, 10 or more shape directions)."
+    )

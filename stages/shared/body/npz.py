@@ -92,7 +92,9 @@ class NumericNpz:
         if finite and values.dtype.kind == "f" and not np.isfinite(values).all():
             where = tuple(int(i) for i in np.argwhere(~np.isfinite(values))[0])
             raise BadData(
-                f"The array {name!r} contains NaN or infinity.", f"{self.path}: {name}{list(where)}", self._fix()
+                f"The array {name!r} contains NaN or infinity.",
+                f"{self.path}: {name}{list(where)}",
+                self._fix(),
             )
         return values
 

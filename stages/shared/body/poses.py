@@ -157,7 +157,9 @@ def read_smpl_params(file: NumericNpz, body: BodyModel | None = None) -> Poses:
 def positive_fps(values: NDArray[Any], file: NumericNpz) -> float:
     """One number of frames per second, or BadData."""
     if values.size != 1 or values.dtype.kind not in "iuf" or not 0 < float(values.reshape(())) < 1e5:
-        raise BadData("The frame rate is not one positive number.", f"{file.path}: fps", "Store fps as a number.")
+        raise BadData(
+            "The frame rate is not one positive number.", f"{file.path}: fps", "Store fps as a number."
+        )
     return float(values.reshape(()))
 
 
@@ -227,7 +229,9 @@ def _columns(file: NumericNpz, name: str, columns: int | None, frames: int | Non
         values = np.repeat(values, frames, axis=0)
     if not 0 < len(values) <= MAX_FRAMES:
         raise BadData(
-            f"{name} has {len(values)} frames.", f"{file.path}: {name}", f"Give between 1 and {MAX_FRAMES} frames."
+            f"{name} has {len(values)} frames.",
+            f"{file.path}: {name}",
+            f"Give between 1 and {MAX_FRAMES} frames.",
         )
     return values
 

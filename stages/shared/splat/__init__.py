@@ -1,0 +1,1 @@
+"""Differentiable Gaussian splatting: one function, three backends, one contract (see `api.py`)."""

@@ -1,0 +1,144 @@
+"""Differentiable rendering of 3D Gaussians: the one entry, whatever the machine.
+
+    picture = rasterize(means, quats, scales, opacities, colors, viewmats, Ks, width, height)
+    picture.features, picture.alpha, picture.depth
+
+Argument names are those of gsplat. Backends: `reference` (plain torch, any float type, slow, the oracle), `cpu`
+(fast, float32 inside), `cuda` (gsplat). `auto` is `cuda` for tensors on a GPU, else `cpu`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from torch import Tensor
+
+from stages.shared.errors import UsageProblem
+from stages.shared.splat.rendering import LayeredRendering, Rendering
+from stages.shared.splat.scene import Scene, make_scene
+from stages.shared.splat.settings import SplatSettings
+
+BACKENDS = ("auto", "reference", "cpu", "cuda")
+
+
+def rasterize(
+    means: Tensor,
+    quats: Tensor | None,
+    scales: Tensor | None,
+    opacities: Tensor,
+    colors: Tensor,
+    viewmats: Tensor,
+    Ks: Tensor,
+    width: int,
+    height: int,
+    *,
+    covars: Tensor | None = None,
+    background: Tensor | None = None,
+    backend: str = "auto",
+    near: float = 0.01,
+    far: float = 1e10,
+    eps2d: float = 0.3,
+    antialiased: bool = False,
+    median_depth: bool = False,
+) -> Rendering:
+    """Render Gaussians as seen by one camera or by B.
+
+    Arguments:
+        means: (N, 3) centres, m, world.
+        quats, scales: (N, 4) wxyz of any length but zero, (N, 3) m; or None and `covars`.
+        opacities: (N,) in [0, 1].
+        colors: (N, C) features, any C: colours, one-hot labels, anything linear.
+        viewmats: (4, 4) or (B, 4, 4) camera_from_world, OpenCV axes (x right, y down, z forward).
+        Ks: (3, 3) or (B, 3, 3) px; pixel (row r, column c) has its centre at (c + 0.5, r + 0.5).
+        width, height: px.
+        covars: (N, 3, 3) m^2, world.
+        background: (C,) or (B, C), behind everything; none is black.
+        near, far: m; eps2d: px^2; antialiased: see `SplatSettings`.
+        median_depth: also return it.
+
+    The rules are those of 3DGS: 0.3 px^2 blur, alpha below 1/255 left out, alpha at most 0.999, a pixel stops
+    before its transmittance falls to 1e-4; Gaussians of equal float32 depth keep their order.
+
+    Gradients reach means, quats, scales, covars, opacities, colors, background, viewmats and Ks. Second
+    derivatives are refused.
+
+    Raises UsageProblem (shapes, names) and BadData (numbers), naming array and index.
+    """
+    settings = SplatSettings(near, far, eps2d, antialiased)
+    scene = make_scene(
+        means, quats, scales, covars, opacities, colors, viewmats, Ks, background, width, height,
+        None, 0, median_depth, settings,
+    )  # fmt: skip
+    return _picture(_backend(backend, scene)(scene), 0, viewmats.ndim == 3)
+
+
+def rasterize_layers(
+    means: Tensor,
+    quats: Tensor | None,
+    scales: Tensor | None,
+    opacities: Tensor,
+    colors: Tensor,
+    viewmats: Tensor,
+    Ks: Tensor,
+    width: int,
+    height: int,
+    *,
+    layer_ids: Tensor,
+    layers: int,
+    covars: Tensor | None = None,
+    background: Tensor | None = None,
+    backend: str = "auto",
+    near: float = 0.01,
+    far: float = 1e10,
+    eps2d: float = 0.3,
+    antialiased: bool = False,
+    median_depth: bool = False,
+) -> LayeredRendering:
+    """Render all layers together, and each layer as if the others were not there, in one traversal.
+
+    layer_ids: (N,) integers in [0, layers). Everything else as in `rasterize`; the background is behind the
+    composite and behind every layer.
+    """
+    settings = SplatSettings(near, far, eps2d, antialiased)
+    if layers < 1:
+        raise UsageProblem(f"layers is {layers}.", "layers", "Ask for one layer at least.")
+    scene = make_scene(
+        means, quats, scales, covars, opacities, colors, viewmats, Ks, background, width, height,
+        layer_ids, layers, median_depth, settings,
+    )  # fmt: skip
+    pictures = _backend(backend, scene)(scene)
+    batched = viewmats.ndim == 3
+    return LayeredRendering(
+        _picture(pictures, 0, batched), tuple(_picture(pictures, 1 + i, batched) for i in range(layers))
+    )
+
+
+def _picture(pictures: Rendering, row: int, batched: bool) -> Rendering:
+    """Row of (1 + L, B, H, W, ...) fields; without the camera axis when the caller gave one camera."""
+
+    def pick(field: Tensor) -> Tensor:
+        return field[row] if batched else field[row, 0]
+
+    median = None if pictures.median_depth is None else pick(pictures.median_depth)
+    return Rendering(pick(pictures.features), pick(pictures.alpha), pick(pictures.depth), median)
+
+
+def _backend(name: str, scene: Scene) -> Callable[[Scene], Rendering]:
+    """The function of a backend; imported when asked for, since each brings a heavy library."""
+    if name not in BACKENDS:
+        raise UsageProblem(
+            f"There is no splatting backend {name!r}.", "backend", "Use " + ", ".join(BACKENDS) + "."
+        )
+    if name == "auto":
+        name = "cuda" if scene.means.is_cuda else "cpu"
+    if name == "reference":
+        from stages.shared.splat.reference import render_scene
+
+        return render_scene
+    if name == "cuda":
+        from stages.shared.splat import cuda
+
+        return cuda.render_scene
+    from stages.shared.splat import cpu
+
+    return cpu.render_scene

@@ -1,0 +1,220 @@
+"""Splatting in plain torch: every pixel against every Gaussian, slow, and meant to be obviously right.
+
+The oracle of the other backends. Works in the precision of its inputs (float64 for tests), on any device, and
+is differentiable by torch itself. One function is one step of the mathematics (Zwicker et al. 2001, EWA
+splatting; Kerbl et al. 2023, 3D Gaussian splatting). Letters: N Gaussians, P pixels, C channels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from stages.shared.splat.rendering import Rendering, stacked
+from stages.shared.splat.scene import Scene
+from stages.shared.splat.settings import (
+    ALPHA_MAX,
+    ALPHA_MIN,
+    FRUSTUM_MARGIN,
+    TRANSMITTANCE_MIN,
+    SplatSettings,
+)
+
+_PIXELS_AT_ONCE = 4096
+
+
+@dataclass(frozen=True)
+class Projected:
+    """Gaussians in the image plane, in depth order (nearest first).
+
+    index: (M,) row of each in the inputs. centers: (M, 2) px. conics: (M, 3) inverse covariance, entries
+    xx, xy, yy, 1/px^2. depths: (M,) m. opacities: (M,).
+    """
+
+    index: Tensor
+    centers: Tensor
+    conics: Tensor
+    depths: Tensor
+    opacities: Tensor
+
+
+def rotation_matrices(quats: Tensor) -> Tensor:
+    """(N, 4) quaternions w x y z of any length but zero -> (N, 3, 3)."""
+    w, x, y, z = (quats / quats.norm(dim=-1, keepdim=True)).unbind(-1)
+    rows = [
+        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+    ]  # fmt: skip
+    return torch.stack(rows, -1).reshape(quats.shape[:-1] + (3, 3))
+
+
+def covariances(quats: Tensor, scales: Tensor) -> Tensor:
+    """Sigma = R S S R^T: (N, 4), (N, 3) m -> (N, 3, 3) m^2."""
+    axes = rotation_matrices(quats) * scales[..., None, :]
+    return axes @ axes.mT
+
+
+def to_camera(means: Tensor, viewmat: Tensor) -> Tensor:
+    """(N, 3) world, (4, 4) camera_from_world -> (N, 3) camera."""
+    return means @ viewmat[:3, :3].T + viewmat[:3, 3]
+
+
+def perspective(points: Tensor, intrinsics: Tensor) -> Tensor:
+    """(N, 3) camera, (3, 3) -> (N, 2) px; the centre of the first pixel is (0.5, 0.5)."""
+    focal = torch.stack([intrinsics[0, 0], intrinsics[1, 1]])
+    return focal * points[:, :2] / points[:, 2:] + intrinsics[:2, 2]
+
+
+def perspective_jacobian(points: Tensor, intrinsics: Tensor, width: int, height: int) -> Tensor:
+    """d(px) / d(camera point): (N, 3) -> (N, 2, 3).
+
+    The viewing direction is clamped to a slightly widened image: far outside it the linear approximation
+    would smear a Gaussian over everything (Kerbl et al. 2023, section 4).
+    """
+    fx, fy, cx, cy = intrinsics[0, 0], intrinsics[1, 1], intrinsics[0, 2], intrinsics[1, 2]
+    with torch.no_grad():
+        margin_x, margin_y = FRUSTUM_MARGIN * 0.5 * width / fx, FRUSTUM_MARGIN * 0.5 * height / fy
+        left, right = -cx / fx - margin_x, (width - cx) / fx + margin_x
+        top, bottom = -cy / fy - margin_y, (height - cy) / fy + margin_y
+    x, y, z = points.unbind(-1)
+    u = (x / z).clamp(left, right)
+    v = (y / z).clamp(top, bottom)
+    zero = torch.zeros_like(z)
+    rows = [fx / z, zero, -fx * u / z, zero, fy / z, -fy * v / z]
+    return torch.stack(rows, -1).reshape(-1, 2, 3)
+
+
+def image_covariances(covars: Tensor, viewmat: Tensor, jacobian: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Sigma' = J W Sigma W^T J^T: (N, 3, 3) m^2 -> its entries xx, xy, yy, (N,) px^2 each.
+
+    Rounded inputs can be indefinite by a hair; the off-diagonal entry is limited so that Sigma' is not.
+    """
+    m = jacobian @ viewmat[:3, :3]
+    planar = m @ covars @ m.mT
+    xx, xy, yy = planar[:, 0, 0].clamp_min(0), planar[:, 0, 1], planar[:, 1, 1].clamp_min(0)
+    limit = (xx * yy).sqrt().detach()
+    return xx, torch.where(xy.abs() > limit, limit * xy.sign().detach(), xy), yy
+
+
+def project(
+    means: Tensor,
+    covars: Tensor,
+    opacities: Tensor,
+    viewmat: Tensor,
+    intrinsics: Tensor,
+    width: int,
+    height: int,
+    settings: SplatSettings,
+) -> Projected:
+    """World Gaussians -> image plane, those in [near, far] only, sorted by depth.
+
+    Depths are compared as float32 and equal ones keep the order of the input, in every backend.
+    """
+    points = to_camera(means, viewmat)
+    with torch.no_grad():
+        z = points[:, 2]
+        inside = ((z > settings.near) & (z < settings.far)).nonzero()[:, 0]
+        index = inside[torch.argsort(z[inside].to(torch.float32), stable=True)]
+    points, covars, opacities = points[index], covars[index], opacities[index]
+    jacobian = perspective_jacobian(points, intrinsics, width, height)
+    xx, xy, yy = image_covariances(0.5 * (covars + covars.mT), viewmat, jacobian)
+    sharp = xx * yy - xy * xy
+    xx, yy = xx + settings.eps2d, yy + settings.eps2d
+    blurred = xx * yy - xy * xy
+    if settings.antialiased:
+        positive = sharp > 0
+        ratio = torch.where(positive, sharp, 1.0) / blurred
+        opacities = opacities * torch.where(positive, ratio.sqrt(), 0.0)
+    conics = torch.stack([yy, -xy, xx], -1) / blurred[:, None]
+    return Projected(index, perspective(points, intrinsics), conics, points[:, 2], opacities)
+
+
+def alphas(gaussians: Projected, pixels: Tensor) -> Tensor:
+    """Opacity times the falloff at every pixel, cut and clamped: pixel centres (P, 2) px -> (P, M)."""
+    dx, dy = (pixels[:, None] - gaussians.centers[None]).unbind(-1)
+    xx, xy, yy = gaussians.conics.unbind(-1)
+    falloff = torch.exp(-0.5 * (xx * dx * dx + yy * dy * dy) - xy * dx * dy)
+    alpha = gaussians.opacities * falloff
+    return torch.where(alpha >= ALPHA_MIN, alpha.clamp_max(ALPHA_MAX), 0.0)
+
+
+def weights(alpha: Tensor) -> tuple[Tensor, Tensor]:
+    """Front-to-back compositing: (P, M) -> w (P, M) with w_k = alpha_k prod_{j<k} (1 - alpha_j), T_end (P,)."""
+    after = torch.cumprod(1 - alpha, 1)
+    alpha = torch.where(after > TRANSMITTANCE_MIN, alpha, 0.0)
+    kept = torch.cumprod(1 - alpha, 1)
+    before = torch.cat([torch.ones_like(kept[:, :1]), kept[:, :-1]], 1)
+    left = kept[:, -1] if kept.shape[1] else torch.ones_like(kept.sum(1))
+    return alpha * before, left
+
+
+def median_depths(w: Tensor, depths: Tensor) -> Tensor:
+    """(P, M) weights, (M,) m -> (P,) m: depth where the accumulated alpha first reaches one half, or 0."""
+    if w.shape[1] == 0:
+        return w.sum(1)
+    reached = (1 - w.cumsum(1)) <= 0.5
+    first = reached.to(torch.int8).argmax(1)
+    return torch.where(reached.any(1), depths[first], 0.0)
+
+
+def render(
+    gaussians: Projected,
+    colors: Tensor,
+    background: Tensor | None,
+    width: int,
+    height: int,
+    members: Tensor | None = None,
+    median: bool = False,
+) -> Rendering:
+    """Composite (M sorted Gaussians, colours (N, C) of all) into H x W pixels; `members` (M,) bool picks some."""
+    features, opaque, depth, middle = [], [], [], []
+    colors = colors[gaussians.index]
+    like = gaussians.depths
+    row, column = torch.meshgrid(
+        torch.arange(height, device=like.device), torch.arange(width, device=like.device), indexing="ij"
+    )
+    centers = torch.stack([column.reshape(-1), row.reshape(-1)], -1).to(like.dtype) + 0.5
+    for pixels in centers.split(_PIXELS_AT_ONCE):
+        alpha = alphas(gaussians, pixels)
+        if members is not None:
+            alpha = torch.where(members, alpha, 0.0)
+        w, left = weights(alpha)
+        features.append(w @ colors if background is None else w @ colors + left[:, None] * background)
+        opaque.append(1 - left)
+        depth.append(w @ gaussians.depths)
+        if median:
+            middle.append(median_depths(w.detach(), gaussians.depths.detach()))
+    shape = (height, width)
+    return Rendering(
+        torch.cat(features).reshape(*shape, colors.shape[1]),
+        torch.cat(opaque).reshape(shape),
+        torch.cat(depth).reshape(shape),
+        torch.cat(middle).reshape(shape) if median else None,
+    )
+
+
+def render_scene(scene: Scene) -> Rendering:
+    """Every camera, composite and layers: fields of shape (1 + L, B, H, W, ...)."""
+    covars = scene.covars if scene.covars is not None else covariances(scene.quats, scene.scales)
+    rows: list[list[Rendering]] = [[] for _ in range(1 + scene.layers)]
+    for camera in range(len(scene.viewmats)):
+        gaussians = project(
+            scene.means,
+            covars,
+            scene.opacities,
+            scene.viewmats[camera],
+            scene.Ks[camera],
+            scene.width,
+            scene.height,
+            scene.settings,
+        )
+        background = None if scene.background is None else scene.background[camera]
+        for row, pictures in enumerate(rows):
+            members = None if row == 0 else scene.layer_ids[gaussians.index] == row - 1
+            pictures.append(
+                render(gaussians, scene.colors, background, scene.width, scene.height, members, scene.median)
+            )
+    return stacked(rows)

@@ -1,0 +1,32 @@
+"""The numbers of the splatting contract, the same for every backend."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+ALPHA_MIN = 1.0 / 255.0
+"""A Gaussian contributes to a pixel only where its alpha reaches this; below, it cannot change 8 bits."""
+
+ALPHA_MAX = 0.999
+"""Alpha is clamped here, so that 1 - alpha never vanishes and gradients stay finite."""
+
+TRANSMITTANCE_MIN = 1e-4
+"""A pixel stops before the Gaussian that would take its transmittance to this or below."""
+
+FRUSTUM_MARGIN = 0.3
+"""The perspective Jacobian is taken inside the image widened by this share of half its width (height)."""
+
+
+@dataclass(frozen=True)
+class SplatSettings:
+    """Options of one rendering.
+
+    near, far: metres of camera depth outside which Gaussians are left out.
+    eps2d: variance in px^2 added to both axes of every projected Gaussian (the 3DGS blur).
+    antialiased: multiply opacity by sqrt(det before / det after the blur) (Mip-Splatting, eq. 9).
+    """
+
+    near: float = 0.01
+    far: float = 1e10
+    eps2d: float = 0.3
+    antialiased: bool = False

@@ -1,0 +1,139 @@
+"""From the files of a take to the frames that can be used; shared by the readers of all layouts."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from stages.shared.body.model import BodyModel
+from stages.shared.body.npz import NumericNpz
+from stages.shared.body.poses import Poses, read_smpl_params
+from stages.shared.capture.camera import Camera
+from stages.shared.capture.take import Split, Take, ViewFiles
+from stages.shared.errors import BadData, MissingInput
+
+MISSING_LIST = "missing_img_files.txt"
+_MAX_NAMES = 1_000_000
+
+
+def numbered_files(folder: Path, pattern: re.Pattern[str]) -> dict[int, Path]:
+    """Frame number (group 1 of `pattern`, matched on the whole name) to file; empty when there is no folder."""
+    found: dict[int, Path] = {}
+    if not folder.is_dir():
+        return found
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            match = pattern.fullmatch(entry.name)
+            if match and len(match.group(1)) <= 9:
+                found[int(match.group(1))] = folder / entry.name
+                if len(found) > _MAX_NAMES:
+                    raise BadData("The folder holds more than a million frames.", str(folder), "Split the capture.")
+    return found
+
+
+def view_files(
+    images: Mapping[int, Path], masks: Mapping[int, Path], labels: Mapping[int, Path], without: Iterable[Path] = ()
+) -> dict[int, ViewFiles]:
+    """The views of one camera that have both image and mask, less those listed in `without`."""
+    listed = set(without)
+    return {
+        frame: ViewFiles(image, masks[frame], labels.get(frame))
+        for frame, image in images.items()
+        if frame in masks and image not in listed
+    }
+
+
+def read_missing_list(folder: Path) -> set[Path]:
+    """Images that `missing_img_files.txt` says are not there or not to be used; no such file is fine."""
+    path = folder / MISSING_LIST
+    if not path.is_file():
+        return set()
+    text = path.read_text(encoding="utf-8", errors="replace")
+    return {folder / line.strip() for line in text.splitlines() if line.strip() and not line.startswith("#")}
+
+
+def read_poses(path: Path, body: BodyModel | None, fps: float | None, usual_fps: float) -> Poses:
+    """Poses of a `smpl_params.npz`, row = frame number.
+
+    The frame rate is `fps` when the capture states one, else what the file says, else `usual_fps`.
+
+    Raises:
+        MissingInput, BadData: as `read_smpl_params`.
+    """
+    with NumericNpz(path, "a pose file") as file:
+        poses = read_smpl_params(file, body)
+        stated = "fps" in file
+    if fps is None and stated:
+        return poses
+    return replace(poses, fps=float(usual_fps if fps is None else fps))
+
+
+def make_take(
+    name: str,
+    split: Split,
+    cameras: Mapping[str, Camera],
+    training: Iterable[str],
+    heldout: Iterable[str],
+    views: Mapping[str, Mapping[int, ViewFiles]],
+    poses: Poses,
+    folder: Path,
+    calibration_files: Iterable[Path],
+    pose_files: Iterable[Path],
+    scan: Path | None = None,
+    scan_frame: int | None = None,
+    frame_names: Mapping[int, str] | None = None,
+    notes: Iterable[str] = (),
+) -> Take:
+    """A take whose frames are those that every training camera saw, with mask, and that have a pose.
+
+    Raises:
+        MissingInput: a training camera without a single view; no frame left.
+    """
+    training, heldout = tuple(training), tuple(heldout)
+    for camera in training:
+        if not views.get(camera):
+            raise MissingInput(
+                f"Camera {camera} is calibrated, but has no images with masks.",
+                f"{folder} ({name})",
+                f"Copy the images of {camera}, or take it out of the calibration.",
+            )
+    if not training:
+        raise MissingInput("No camera has images.", f"{folder} ({name})", "Check the folder names of the cameras.")
+    somewhere = set().union(*(views[camera] for camera in training))
+    everywhere = set.intersection(*(set(views[camera]) for camera in training))
+    frames = sorted(frame for frame in everywhere if frame < len(poses))
+    remarks = list(notes)
+    partly, poseless = len(somewhere - everywhere), len(everywhere) - len(frames)
+    if partly:
+        remarks.append(f"{partly} of {len(somewhere)} frames are left out: not every training camera has image and mask.")
+    if poseless:
+        remarks.append(f"{poseless} frames are left out: the pose file has only {len(poses)} rows.")
+    if not frames:
+        raise MissingInput(
+            "No frame has image, mask and pose for every training camera.",
+            f"{folder} ({name}: {len(somewhere)} frames with images, {len(poses)} poses)",
+            "Check that frame numbers of images, masks and poses agree.",
+        )
+    labelled = [camera for camera in training if any(view.labels for view in views[camera].values())]
+    if not labelled:
+        remarks.append("there are no label images.")
+    all_views = {(camera, frame): view for camera in cameras for frame, view in views.get(camera, {}).items()}
+    return Take(
+        name=name,
+        split=split,
+        cameras=dict(cameras),
+        training_cameras=training,
+        heldout_cameras=heldout,
+        frames=frames,
+        poses=poses,
+        views=all_views,
+        calibration_files=tuple(calibration_files),
+        pose_files=tuple(pose_files),
+        scan=scan,
+        scan_frame=scan_frame,
+        frame_names=dict(frame_names or {}),
+        notes=tuple(remarks),
+    )

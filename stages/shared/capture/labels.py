@@ -1,0 +1,91 @@
+"""Which label means what, and label images in the three ways people store them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.shared.capture.images import decode, read_bytes
+from stages.shared.capture.png import palette_as_grey
+from stages.shared.errors import BadData
+
+LABELS: Final[dict[int, str]] = {0: "skin", 1: "hair", 2: "shoe", 3: "upper", 4: "lower", 5: "outer", 255: "none"}
+NO_LABEL: Final = 255
+LAYERS: Final[tuple[str, ...]] = ("body", "lower", "upper", "outer")  # inner to outer
+LAYER_OF_LABEL: Final[dict[int, str]] = {0: "body", 1: "body", 2: "body", 3: "upper", 4: "lower", 5: "outer"}
+LABEL_COLORS: Final[dict[int, tuple[int, int, int]]] = {  # RGB, the colours of 4D-DRESS
+    0: (128, 128, 128),
+    1: (255, 128, 0),
+    2: (128, 0, 255),
+    3: (180, 50, 50),
+    4: (50, 180, 50),
+    5: (0, 128, 255),
+    255: (255, 255, 255),
+}
+
+_UNKNOWN = 254
+_Image = NDArray[np.uint8]
+
+
+def read_labels(path: Path) -> _Image:
+    """Label ids (H, W) u8 of a PNG: single-channel ids, a palette, or the colours of 4D-DRESS.
+
+    A palette image is read by its colours when all that it uses are known, and by its indices otherwise: some
+    programs sort a palette when they save it, which keeps the colours and changes the indices.
+
+    Raises:
+        BadData: damaged file, or ids or colours that are no label (named).
+    """
+    data = read_bytes(path)
+    grey, palette = palette_as_grey(data, path)
+    if palette is None:
+        image = decode(data, path)
+        ids = _ids_of_colors(image) if image.ndim == 3 else image
+    else:
+        indices = decode(grey, path)
+        colors = np.full((256, 3), 0, np.uint8)
+        colors[: len(palette)] = palette
+        ids = _ids_of_colors(colors[None, :, ::-1])[0][indices]
+        if (ids == _UNKNOWN).any():
+            ids = indices
+    known = np.isin(np.arange(256), list(LABELS))
+    counts = np.bincount(ids.reshape(-1), minlength=256)
+    wrong = np.flatnonzero((counts > 0) & ~known)
+    if len(wrong):
+        if palette is None and image.ndim == 3:
+            found = "colours (RGB) " + ", ".join(str(color) for color in _unknown_colors(image, ids))
+        else:
+            found = "ids " + ", ".join(str(value) for value in wrong[:8])
+        raise BadData(
+            f"The label image uses {found}, which mean nothing here.",
+            str(path),
+            "Use ids " + ", ".join(f"{value} {name}" for value, name in LABELS.items()) + ", or 4D-DRESS's colours.",
+        )
+    return ids
+
+
+def _ids_of_colors(bgr: _Image) -> _Image:
+    """(H, W) ids of a (H, W, 3+) image; `_UNKNOWN` where the colour is no label's."""
+    packed = (bgr[..., 2].astype(np.int32) << 16) | (bgr[..., 1].astype(np.int32) << 8) | bgr[..., 0]
+    keys = np.array([(r << 16) | (g << 8) | b for r, g, b in LABEL_COLORS.values()])
+    values = np.array(list(LABEL_COLORS), np.uint8)
+    order = np.argsort(keys)
+    keys, values = keys[order], values[order]
+    place = np.clip(np.searchsorted(keys, packed), 0, len(keys) - 1)
+    return np.where(keys[place] == packed, values[place], np.uint8(_UNKNOWN)).astype(np.uint8)
+
+
+def _unknown_colors(bgr: _Image, ids: _Image) -> list[tuple[int, ...]]:
+    colors = np.unique(bgr[ids == _UNKNOWN][:, 2::-1][:10_000], axis=0)[:4]
+    return [tuple(int(value) for value in color) for color in colors]
+
+
+def label_picture(ids: _Image) -> _Image:
+    """RGB (..., 3) u8 picture of label ids (...,)."""
+    colors = np.zeros((256, 3), np.uint8)
+    for value, color in LABEL_COLORS.items():
+        colors[value] = color
+    return colors[ids]

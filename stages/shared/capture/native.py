@@ -1,0 +1,117 @@
+"""Reader for the native layout (docs/formats.md): one folder, `capture.json`, `cameras.json`, `takes/<name>/…`."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any, Final
+
+from stages.shared.body.model import BodyModel
+from stages.shared.body.poses import DEFAULT_FPS
+from stages.shared.capture.camera import Camera, checked_camera
+from stages.shared.capture.gather import make_take, numbered_files, read_missing_list, read_poses, view_files
+from stages.shared.capture.json_file import read_json_object
+from stages.shared.capture.take import Capture, Take
+from stages.shared.errors import BadData
+
+FORMAT: Final = "native"
+FORMAT_MARK: Final = "gw-capture"
+FORMAT_VERSION: Final = 1
+NAME: Final = re.compile(r"[A-Za-z0-9][\w.-]{0,63}")
+_FRAME: Final = re.compile(r"(\d+)\.(?:png|jpg|jpeg)")
+
+
+def is_native(root: Path) -> bool:
+    """Whether a folder has the native layout."""
+    return (root / "capture.json").is_file()
+
+
+def open_native(root: Path, body: BodyModel | None, body_model_path: Path | None) -> Capture:
+    """The takes that `capture.json` lists."""
+    path = root / "capture.json"
+    description = read_json_object(path)
+    if description.get("format") != FORMAT_MARK:
+        raise BadData(f"format is {description.get('format')!r}, not {FORMAT_MARK!r}.", str(path), "Give another folder.")
+    version = description.get("version")
+    if version != FORMAT_VERSION:
+        raise BadData(
+            f"The capture has version {version!r}, this program reads {FORMAT_VERSION}.", str(path), "Update gw."
+        )
+    takes = description.get("takes")
+    if not isinstance(takes, list) or not takes:
+        raise BadData("capture.json lists no takes.", str(path), "Add an entry to takes.")
+    shared = root / "cameras.json"
+    return Capture(
+        root, FORMAT, tuple(_read_take(root, entry, shared, path, body) for entry in takes), body_model_path
+    )
+
+
+def _read_take(root: Path, entry: Any, shared: Path, path: Path, body: BodyModel | None) -> Take:
+    if not isinstance(entry, dict) or not isinstance(entry.get("name"), str) or not NAME.fullmatch(entry["name"]):
+        raise BadData("A take has no usable name.", f"{path}: takes", "Use letters, digits, dot, dash, underscore.")
+    name, split, fps = entry["name"], entry.get("split", "train"), entry.get("fps")
+    if split not in ("train", "test"):
+        raise BadData(f"split is {split!r}.", f"{path}: take {name}", 'Write "train" or "test".')
+    if fps is not None and (not isinstance(fps, int | float) or not 0 < fps < 1e5):
+        raise BadData("fps is not a positive number.", f"{path}: take {name}", "Write the frame rate as a number.")
+    folder = root / "takes" / name
+    camera_path = folder / "cameras.json" if (folder / "cameras.json").is_file() else shared
+    cameras, heldout = read_cameras(camera_path)
+    missing = read_missing_list(folder)
+    views = {
+        camera: view_files(
+            numbered_files(folder / "rgb" / camera, _FRAME),
+            numbered_files(folder / "masks" / camera, _FRAME),
+            numbered_files(folder / "labels" / camera, re.compile(r"(\d+)\.png")),
+            missing,
+        )
+        for camera in cameras
+    }
+    scan_frame = entry.get("scan_frame", 0)
+    if not isinstance(scan_frame, int) or scan_frame < 0:
+        raise BadData("scan_frame is not a frame number.", f"{path}: take {name}", "Write the frame that the scan shows.")
+    scan = next((folder / f"scan.{kind}" for kind in ("ply", "obj") if (folder / f"scan.{kind}").is_file()), None)
+    return make_take(
+        name=name,
+        split=split,
+        cameras=cameras,
+        training=[camera for camera in cameras if camera not in heldout],
+        heldout=[camera for camera in cameras if camera in heldout],
+        views=views,
+        poses=read_poses(folder / "smpl_params.npz", body, fps, DEFAULT_FPS),
+        folder=folder,
+        calibration_files=[camera_path, path],
+        pose_files=[folder / "smpl_params.npz"],
+        scan=scan,
+        scan_frame=scan_frame if scan else None,
+    )
+
+
+def read_cameras(path: Path) -> tuple[dict[str, Camera], frozenset[str]]:
+    """Cameras of a `cameras.json` in its order, and the names of those held out.
+
+    Raises:
+        MissingInput: no such file.
+        BadData: entries missing or of the wrong shape, NaN, matrices that are no rotation.
+    """
+    entries = read_json_object(path).get("cameras")
+    if not isinstance(entries, list) or not entries:
+        raise BadData("cameras.json lists no cameras.", str(path), "Add an entry to cameras.")
+    cameras: dict[str, Camera] = {}
+    heldout = set()
+    for number, entry in enumerate(entries):
+        where = f"{path}: camera {number}"
+        if not isinstance(entry, dict) or not isinstance(entry.get("name"), str) or not NAME.fullmatch(entry["name"]):
+            raise BadData("A camera has no usable name.", where, "Use letters, digits, dot, dash, underscore.")
+        name = entry["name"]
+        if name in cameras:
+            raise BadData(f"Two cameras are called {name}.", where, "Give every camera a name of its own.")
+        lacking = [key for key in ("width", "height", "intrinsics", "camera_from_world") if key not in entry]
+        if lacking:
+            raise BadData(f"Camera {name} lacks {lacking[0]}.", where, "Write the whole calibration.")
+        cameras[name] = checked_camera(
+            name, entry["width"], entry["height"], entry["intrinsics"], entry["camera_from_world"], where
+        )
+        if entry.get("held_out", False):
+            heldout.add(name)
+    return cameras, frozenset(heldout)

@@ -41,7 +41,9 @@ def sequence_folders(root: Path) -> list[Path]:
     folders = [root, *sorted(root.glob("Sequence*"))]
     found = []
     for folder in folders:
-        scale = next((folder / scale for scale in _SCALES if (folder / scale / "calibration.csv").is_file()), None)
+        scale = next(
+            (folder / scale for scale in _SCALES if (folder / scale / "calibration.csv").is_file()), None
+        )
         if scale:
             found.append(scale)
     return found
@@ -52,7 +54,9 @@ def open_actorshq(root: Path, body: BodyModel | None, body_model_path: Path | No
     folders = sequence_folders(root)
     if not folders:
         raise MissingInput(
-            "There is no ActorsHQ sequence here.", f"{root}: no 1x, 2x or 4x/calibration.csv", "Give an actor's folder."
+            "There is no ActorsHQ sequence here.",
+            f"{root}: no 1x, 2x or 4x/calibration.csv",
+            "Give an actor's folder.",
         )
     takes = tuple(_read_sequence(folder, place, len(folders), body) for place, folder in enumerate(folders))
     return Capture(root, FORMAT, takes, body_model_path)
@@ -105,7 +109,9 @@ def read_calibration(path: Path) -> dict[str, Camera]:
         with path.open(newline="", encoding="utf-8-sig") as stream:
             rows = list(csv.DictReader(stream, skipinitialspace=True))
     except (csv.Error, UnicodeDecodeError) as error:
-        raise BadData(f"The calibration is not a CSV table: {error}.", str(path), "Copy the file again.") from error
+        raise BadData(
+            f"The calibration is not a CSV table: {error}.", str(path), "Copy the file again."
+        ) from error
     if not rows:
         raise BadData("The calibration lists no camera.", str(path), "Copy the file again.")
     cameras: dict[str, Camera] = {}
@@ -114,11 +120,15 @@ def read_calibration(path: Path) -> dict[str, Camera]:
         lacking = [column for column in _COLUMNS if not isinstance(row.get(column), str)]
         if lacking:
             raise BadData(
-                f"The calibration lacks the column {lacking[0]}.", f"{path}, line {number}", "Copy the file again."
+                f"The calibration lacks the column {lacking[0]}.",
+                f"{path}, line {number}",
+                "Copy the file again.",
             )
         name = row["name"].strip()
         if name in cameras or not re.fullmatch(r"[\w.-]{1,64}", name):
-            raise BadData(f"The camera name {name!r} is unusable or stands twice.", f"{path}, line {number}", "Mend it.")
+            raise BadData(
+                f"The camera name {name!r} is unusable or stands twice.", f"{path}, line {number}", "Mend it."
+            )
         cameras[name] = _camera_of_row(name, row, f"{path}, line {number}")
     return cameras
 
@@ -130,7 +140,9 @@ def _camera_of_row(name: str, row: dict[str, Any], where: str) -> Camera:
     except ValueError as error:
         raise BadData(f"Camera {name}: {error}.", where, "Mend the calibration.") from error
     if not all(map(math.isfinite, value.values())):
-        raise BadData(f"Camera {name}: the calibration contains NaN or infinity.", where, "Mend the calibration.")
+        raise BadData(
+            f"Camera {name}: the calibration contains NaN or infinity.", where, "Mend the calibration."
+        )
     camera_from_world = np.eye(4)
     rotation = rotation_of_axis_angle(np.array([value["rx"], value["ry"], value["rz"]])).T
     camera_from_world[:3, :3] = rotation
@@ -168,7 +180,9 @@ def _camera_split(
     for key, names in given.items():
         unknown = [name for name in names if name not in cameras] if isinstance(names, list) else [names]
         if unknown:
-            raise BadData(f"{key} names a camera without calibration: {unknown[0]!r}.", str(scene_path), "Mend it.")
+            raise BadData(
+                f"{key} names a camera without calibration: {unknown[0]!r}.", str(scene_path), "Mend it."
+            )
     if "train_cameras" in given:
         return list(given["train_cameras"]), list(given.get("heldout_cameras", []))
     if set(_USUAL_TRAINING) <= set(seen):

@@ -138,5 +138,7 @@ def checked_camera(
     rotation = camera.camera_from_world[:3, :3]
     error = np.abs(rotation @ rotation.T - np.eye(3)).max()
     if error > ROTATION_TOLERANCE or np.linalg.det(rotation) < 0:
-        raise refuse(f"its rotation matrix is no rotation (off by {error:.2g}, determinant {np.linalg.det(rotation):.3g})")
+        raise refuse(
+            f"its rotation matrix is no rotation (off by {error:.2g}, determinant {np.linalg.det(rotation):.3g})"
+        )
     return camera

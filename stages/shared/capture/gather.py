@@ -30,12 +30,17 @@ def numbered_files(folder: Path, pattern: re.Pattern[str]) -> dict[int, Path]:
             if match and len(match.group(1)) <= 9:
                 found[int(match.group(1))] = folder / entry.name
                 if len(found) > _MAX_NAMES:
-                    raise BadData("The folder holds more than a million frames.", str(folder), "Split the capture.")
+                    raise BadData(
+                        "The folder holds more than a million frames.", str(folder), "Split the capture."
+                    )
     return found
 
 
 def view_files(
-    images: Mapping[int, Path], masks: Mapping[int, Path], labels: Mapping[int, Path], without: Iterable[Path] = ()
+    images: Mapping[int, Path],
+    masks: Mapping[int, Path],
+    labels: Mapping[int, Path],
+    without: Iterable[Path] = (),
 ) -> dict[int, ViewFiles]:
     """The views of one camera that have both image and mask, less those listed in `without`."""
     listed = set(without)
@@ -101,14 +106,18 @@ def make_take(
                 f"Copy the images of {camera}, or take it out of the calibration.",
             )
     if not training:
-        raise MissingInput("No camera has images.", f"{folder} ({name})", "Check the folder names of the cameras.")
+        raise MissingInput(
+            "No camera has images.", f"{folder} ({name})", "Check the folder names of the cameras."
+        )
     somewhere = set().union(*(views[camera] for camera in training))
     everywhere = set.intersection(*(set(views[camera]) for camera in training))
     frames = sorted(frame for frame in everywhere if frame < len(poses))
     remarks = list(notes)
     partly, poseless = len(somewhere - everywhere), len(everywhere) - len(frames)
     if partly:
-        remarks.append(f"{partly} of {len(somewhere)} frames are left out: not every training camera has image and mask.")
+        remarks.append(
+            f"{partly} of {len(somewhere)} frames are left out: not every training camera has image and mask."
+        )
     if poseless:
         remarks.append(f"{poseless} frames are left out: the pose file has only {len(poses)} rows.")
     if not frames:

@@ -48,12 +48,18 @@ def read_bytes(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except (FileNotFoundError, NotADirectoryError, IsADirectoryError) as error:
-        raise MissingInput("An image of the capture is not there.", str(path), "Copy the capture again.") from error
+        raise MissingInput(
+            "An image of the capture is not there.", str(path), "Copy the capture again."
+        ) from error
     except OSError as error:
-        raise StorageFailure(f"Reading failed: {error.strerror}.", str(path), "Check the disk and the permissions.") from error
+        raise StorageFailure(
+            f"Reading failed: {error.strerror}.", str(path), "Check the disk and the permissions."
+        ) from error
 
 
-def decode(data: bytes, path: Path, mode: int = cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION) -> Image:
+def decode(
+    data: bytes, path: Path, mode: int = cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION
+) -> Image:
     """Pixels of a PNG or JPEG in OpenCV's channel order, 8 bits a channel: (H, W) or (H, W, 3 or 4) u8."""
     width, height = check_picture(data, path)
     try:

@@ -21,11 +21,15 @@ def read_json_object(path: Path) -> dict[str, Any]:
     if not path.is_file():
         raise MissingInput("A file of the capture is not there.", str(path), "Copy the capture again.")
     if path.stat().st_size > _MAX_BYTES:
-        raise BadData("The file is too large for a description.", str(path), "Check that this is the right file.")
+        raise BadData(
+            "The file is too large for a description.", str(path), "Check that this is the right file."
+        )
     try:
         value = json.loads(path.read_bytes())
     except (ValueError, RecursionError) as error:
-        raise BadData(f"The file is not valid JSON: {error}.", str(path), "Mend or replace the file.") from error
+        raise BadData(
+            f"The file is not valid JSON: {error}.", str(path), "Mend or replace the file."
+        ) from error
     if not isinstance(value, dict):
         raise BadData("The file does not hold a JSON object.", str(path), "Mend or replace the file.")
     return value

@@ -12,7 +12,15 @@ from stages.shared.capture.images import decode, read_bytes
 from stages.shared.capture.png import palette_as_grey
 from stages.shared.errors import BadData
 
-LABELS: Final[dict[int, str]] = {0: "skin", 1: "hair", 2: "shoe", 3: "upper", 4: "lower", 5: "outer", 255: "none"}
+LABELS: Final[dict[int, str]] = {
+    0: "skin",
+    1: "hair",
+    2: "shoe",
+    3: "upper",
+    4: "lower",
+    5: "outer",
+    255: "none",
+}
 NO_LABEL: Final = 255
 LAYERS: Final[tuple[str, ...]] = ("body", "lower", "upper", "outer")  # inner to outer
 LAYER_OF_LABEL: Final[dict[int, str]] = {0: "body", 1: "body", 2: "body", 3: "upper", 4: "lower", 5: "outer"}
@@ -62,7 +70,9 @@ def read_labels(path: Path) -> _Image:
         raise BadData(
             f"The label image uses {found}, which mean nothing here.",
             str(path),
-            "Use ids " + ", ".join(f"{value} {name}" for value, name in LABELS.items()) + ", or 4D-DRESS's colours.",
+            "Use ids "
+            + ", ".join(f"{value} {name}" for value, name in LABELS.items())
+            + ", or 4D-DRESS's colours.",
         )
     return ids
 

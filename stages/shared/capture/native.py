@@ -31,11 +31,17 @@ def open_native(root: Path, body: BodyModel | None, body_model_path: Path | None
     path = root / "capture.json"
     description = read_json_object(path)
     if description.get("format") != FORMAT_MARK:
-        raise BadData(f"format is {description.get('format')!r}, not {FORMAT_MARK!r}.", str(path), "Give another folder.")
+        raise BadData(
+            f"format is {description.get('format')!r}, not {FORMAT_MARK!r}.",
+            str(path),
+            "Give another folder.",
+        )
     version = description.get("version")
     if version != FORMAT_VERSION:
         raise BadData(
-            f"The capture has version {version!r}, this program reads {FORMAT_VERSION}.", str(path), "Update gw."
+            f"The capture has version {version!r}, this program reads {FORMAT_VERSION}.",
+            str(path),
+            "Update gw.",
         )
     takes = description.get("takes")
     if not isinstance(takes, list) or not takes:
@@ -47,13 +53,21 @@ def open_native(root: Path, body: BodyModel | None, body_model_path: Path | None
 
 
 def _read_take(root: Path, entry: Any, shared: Path, path: Path, body: BodyModel | None) -> Take:
-    if not isinstance(entry, dict) or not isinstance(entry.get("name"), str) or not NAME.fullmatch(entry["name"]):
-        raise BadData("A take has no usable name.", f"{path}: takes", "Use letters, digits, dot, dash, underscore.")
+    if (
+        not isinstance(entry, dict)
+        or not isinstance(entry.get("name"), str)
+        or not NAME.fullmatch(entry["name"])
+    ):
+        raise BadData(
+            "A take has no usable name.", f"{path}: takes", "Use letters, digits, dot, dash, underscore."
+        )
     name, split, fps = entry["name"], entry.get("split", "train"), entry.get("fps")
     if split not in ("train", "test"):
         raise BadData(f"split is {split!r}.", f"{path}: take {name}", 'Write "train" or "test".')
     if fps is not None and (not isinstance(fps, int | float) or not 0 < fps < 1e5):
-        raise BadData("fps is not a positive number.", f"{path}: take {name}", "Write the frame rate as a number.")
+        raise BadData(
+            "fps is not a positive number.", f"{path}: take {name}", "Write the frame rate as a number."
+        )
     folder = root / "takes" / name
     camera_path = folder / "cameras.json" if (folder / "cameras.json").is_file() else shared
     cameras, heldout = read_cameras(camera_path)
@@ -69,8 +83,14 @@ def _read_take(root: Path, entry: Any, shared: Path, path: Path, body: BodyModel
     }
     scan_frame = entry.get("scan_frame", 0)
     if not isinstance(scan_frame, int) or scan_frame < 0:
-        raise BadData("scan_frame is not a frame number.", f"{path}: take {name}", "Write the frame that the scan shows.")
-    scan = next((folder / f"scan.{kind}" for kind in ("ply", "obj") if (folder / f"scan.{kind}").is_file()), None)
+        raise BadData(
+            "scan_frame is not a frame number.",
+            f"{path}: take {name}",
+            "Write the frame that the scan shows.",
+        )
+    scan = next(
+        (folder / f"scan.{kind}" for kind in ("ply", "obj") if (folder / f"scan.{kind}").is_file()), None
+    )
     return make_take(
         name=name,
         split=split,
@@ -101,8 +121,14 @@ def read_cameras(path: Path) -> tuple[dict[str, Camera], frozenset[str]]:
     heldout = set()
     for number, entry in enumerate(entries):
         where = f"{path}: camera {number}"
-        if not isinstance(entry, dict) or not isinstance(entry.get("name"), str) or not NAME.fullmatch(entry["name"]):
-            raise BadData("A camera has no usable name.", where, "Use letters, digits, dot, dash, underscore.")
+        if (
+            not isinstance(entry, dict)
+            or not isinstance(entry.get("name"), str)
+            or not NAME.fullmatch(entry["name"])
+        ):
+            raise BadData(
+                "A camera has no usable name.", where, "Use letters, digits, dot, dash, underscore."
+            )
         name = entry["name"]
         if name in cameras:
             raise BadData(f"Two cameras are called {name}.", where, "Give every camera a name of its own.")

@@ -29,7 +29,13 @@ class TakeWriter:
         self.folder = folder
 
     def view(
-        self, camera: str, frame: int, image: _Image, mask: _Image, labels: _Image | None = None, jpeg: bool = True
+        self,
+        camera: str,
+        frame: int,
+        image: _Image,
+        mask: _Image,
+        labels: _Image | None = None,
+        jpeg: bool = True,
     ) -> None:
         """One view: image (H, W, 3) u8 sRGB, mask (H, W) u8 0..255, labels (H, W) u8 ids (255 none)."""
         image = np.ascontiguousarray(image[..., ::-1])
@@ -99,7 +105,9 @@ class NativeWriter:
 
 
 @contextlib.contextmanager
-def native_writer(path: Path, cameras: Iterable[Camera], heldout: Iterable[str] = ()) -> Iterator[NativeWriter]:
+def native_writer(
+    path: Path, cameras: Iterable[Camera], heldout: Iterable[str] = ()
+) -> Iterator[NativeWriter]:
     """A capture at `path`, whole or absent: what stood there is replaced at the end.
 
     Arguments:

@@ -41,7 +41,9 @@ def open_capture(path: Path, format: str | None = None, body: BodyModel | None =
     root = Path(path)
     if format is not None and format not in _LAYOUTS:
         raise UsageProblem(
-            f"There is no capture format called {format!r}.", "option --format", "Choose one of: " + ", ".join(FORMATS) + "."
+            f"There is no capture format called {format!r}.",
+            "option --format",
+            "Choose one of: " + ", ".join(FORMATS) + ".",
         )
     if not root.is_dir():
         raise MissingInput("There is no such folder.", str(root), "Give the folder of a capture.")

@@ -32,7 +32,9 @@ def check_picture(data: bytes, path: Path) -> tuple[int, int]:
         width, height = _check_jpeg(data, path)
     else:
         raise BadData(
-            "This is neither a PNG nor a JPEG image.", str(path), "Convert it to PNG (masks and labels) or JPEG."
+            "This is neither a PNG nor a JPEG image.",
+            str(path),
+            "Convert it to PNG (masks and labels) or JPEG.",
         )
     if width < 1 or height < 1 or width * height > MAX_PIXELS:
         raise BadData(
@@ -59,7 +61,9 @@ def palette_as_grey(data: bytes, path: Path) -> tuple[bytes, NDArray[np.uint8] |
                 return data, None
             if body[8] != 8:
                 raise BadData(
-                    f"A palette image of {body[8]} bits a pixel.", str(path), "Save label images with 8 bits a pixel."
+                    f"A palette image of {body[8]} bits a pixel.",
+                    str(path),
+                    "Save label images with 8 bits a pixel.",
                 )
             body = body[:9] + b"\x00" + body[10:]
         elif kind == b"PLTE":
@@ -75,7 +79,9 @@ def palette_as_grey(data: bytes, path: Path) -> tuple[bytes, NDArray[np.uint8] |
 
 def damaged(path: Path, reason: str) -> BadData:
     """The error for a file that cannot be read whole."""
-    return BadData(f"The image is damaged: {reason}.", str(path), "Copy the file again, or leave this frame out.")
+    return BadData(
+        f"The image is damaged: {reason}.", str(path), "Copy the file again, or leave this frame out."
+    )
 
 
 def _check_png(data: bytes, path: Path) -> tuple[int, int]:

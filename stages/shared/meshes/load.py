@@ -1,0 +1,85 @@
+"""Mesh files in, mesh files out."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.shared.artifacts.files import write_whole
+from stages.shared.errors import BadData, MissingInput, StorageFailure
+from stages.shared.meshes.mesh import Mesh, check_mesh
+from stages.shared.meshes.ply import decode_ply, encode_ply
+
+MAX_FILE_BYTES: Final = 2 << 30
+FORMATS: Final = (".ply", ".obj", ".stl", ".glb", ".off")
+
+
+def load_mesh(path: Path) -> Mesh:
+    """A mesh of a `.ply` (colours and `label` per vertex are kept), `.obj`, `.stl`, `.glb` or `.off` file.
+
+    Raises:
+        MissingInput: no such file.
+        BadData: another format, damaged, NaN, no faces, more than 20 million vertices.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if not path.is_file():
+        raise MissingInput("There is no such mesh file.", str(path), "Check the path.")
+    if suffix not in FORMATS:
+        raise BadData(
+            f"Meshes of type {suffix or 'unknown'} are not read.", str(path), f"Use {', '.join(FORMATS)}."
+        )
+    if path.stat().st_size > MAX_FILE_BYTES:
+        raise BadData("The mesh file is larger than 2 GiB.", str(path), "Simplify the mesh.")
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise StorageFailure(
+            f"Reading failed: {error.strerror}.", str(path), "Check the permissions."
+        ) from error
+    mesh = decode_ply(data, str(path)) if suffix == ".ply" else _decode_with_trimesh(data, suffix[1:], path)
+    return check_mesh(mesh, str(path))
+
+
+def write_ply(path: Path, mesh: Mesh, normals: NDArray[np.float32] | None = None) -> None:
+    """Write a binary PLY, whole or not at all; the same mesh gives the same bytes.
+
+    Raises:
+        StorageFailure: disk full, no permission.
+    """
+    write_whole(Path(path), encode_ply(mesh, normals))
+
+
+def _decode_with_trimesh(data: bytes, kind: str, path: Path) -> Mesh:
+    """All other formats. The file is given as a stream without a folder, so that it cannot refer to other files."""
+    import trimesh
+
+    options = {"skip_materials": True, "process": False} if kind == "obj" else {"process": False}
+    try:
+        loaded = trimesh.load(io.BytesIO(data), file_type=kind, force="mesh", **options)
+        faces, vertices = np.asarray(loaded.faces), np.asarray(loaded.vertices)
+        colors = _vertex_colors(loaded)
+    except Exception as error:  # parsers of foreign formats fail in every way there is
+        reason = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
+        raise BadData(f"The mesh cannot be read: {reason}.", str(path), "Export the mesh again.") from error
+    if len(faces) and (faces.ndim != 2 or faces.shape[1] != 3):
+        raise BadData("The mesh is not made of triangles.", str(path), "Export it with triangles.")
+    if kind == "stl" and len(vertices):
+        vertices, faces = _weld(vertices, faces)  # STL repeats every corner
+    return Mesh(vertices.reshape(-1, 3), faces.reshape(-1, 3), colors)
+
+
+def _vertex_colors(loaded: object) -> NDArray[np.uint8] | None:
+    visual = getattr(loaded, "visual", None)
+    if getattr(visual, "kind", None) != "vertex":
+        return None
+    return np.asarray(visual.vertex_colors)[:, :3].astype(np.uint8)  # type: ignore[union-attr]
+
+
+def _weld(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> tuple[NDArray, NDArray]:
+    unique, inverse = np.unique(vertices, axis=0, return_inverse=True)
+    return unique, inverse.reshape(-1)[faces]

@@ -1,0 +1,74 @@
+"""A triangle mesh with what a scan brings along, and the checks that every mesh from outside passes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.shared.errors import BadData
+
+MAX_VERTICES = 20_000_000
+MAX_FACES = 40_000_000
+Floats = NDArray[np.float32]
+Ints = NDArray[np.int32]
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """A triangle mesh.
+
+    Attributes:
+        vertices: (V, 3) f32 metres.
+        faces: (F, 3) i32 vertex indices, counter-clockwise seen from outside.
+        colors: (V, 3) u8 sRGB, if any.
+        labels: (V,) u8 label ids, if any.
+    """
+
+    vertices: Floats
+    faces: Ints
+    colors: NDArray[np.uint8] | None = None
+    labels: NDArray[np.uint8] | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "vertices", np.ascontiguousarray(self.vertices, dtype=np.float32))
+        object.__setattr__(self, "faces", np.ascontiguousarray(self.faces, dtype=np.int32))
+
+
+def check_mesh(mesh: Mesh, where: str) -> Mesh:
+    """The mesh, if it can be worked with.
+
+    Raises:
+        BadData: no vertices or faces, NaN, faces that name vertices which are not there, too large.
+    """
+    if len(mesh.vertices) == 0:
+        raise BadData("The mesh has no vertices.", where, "Export the mesh again.")
+    if len(mesh.faces) == 0:
+        raise BadData(
+            "The mesh has no faces: it is a cloud of points.",
+            where,
+            "Export it with faces, or reconstruct a surface.",
+        )
+    if len(mesh.vertices) > MAX_VERTICES or len(mesh.faces) > MAX_FACES:
+        raise BadData(
+            f"The mesh has {len(mesh.vertices)} vertices and {len(mesh.faces)} faces; at most {MAX_VERTICES} and "
+            f"{MAX_FACES} are read.",
+            where,
+            "Simplify the mesh.",
+        )
+    broken = ~np.isfinite(mesh.vertices).all(axis=1)
+    if broken.any():
+        raise BadData(
+            f"{int(broken.sum())} vertices are NaN or infinite, the first is vertex {int(np.argmax(broken))}.",
+            where,
+            "Remove them, or export the mesh again.",
+        )
+    if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
+        face = int(np.argmax(((mesh.faces < 0) | (mesh.faces >= len(mesh.vertices))).any(axis=1)))
+        raise BadData(
+            f"Face {face} names a vertex that is not there; the mesh has {len(mesh.vertices)}.",
+            where,
+            "Export the mesh again.",
+        )
+    return mesh

@@ -1,0 +1,59 @@
+"""From ray hits to texels: which there are, and what they take over from the surface by interpolation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stages.bake_maps.grid import Grid
+from stages.shared.meshes.raycast import RayScene
+
+
+@dataclass(frozen=True)
+class Texels:
+    """Surface points seen by the front and back views of a layer, in the order view, row, column.
+
+    Attributes:
+        texels: (N, 3) int32 view, row, column on the global grid.
+        window: row0, column0, height, width.
+        face: (N,) number of the face that was hit. barycentric: (N, 3) weights of its corners.
+    """
+
+    texels: np.ndarray
+    window: tuple[int, int, int, int]
+    face: np.ndarray
+    barycentric: np.ndarray
+
+    def interpolate(self, faces: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Per-vertex values (V, ...) at the texels, (N, ...) float64."""
+        flat = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
+        corners = faces[self.face]
+        found = sum(self.barycentric[:, k, None] * flat[corners[:, k]] for k in range(3))
+        return np.asarray(found).reshape(len(self.face), *np.shape(values)[1:])
+
+
+def cast_texels(vertices: np.ndarray, faces: np.ndarray, grid: Grid, layer: str) -> Texels:
+    """First hits of the parallel rays through all texels of the layer's window, from front and back.
+
+    Only what is hit first becomes a texel, so nothing inside another part of the same layer (the scalp under the
+    hair, the foot in the shoe) gets one.
+
+    Raises:
+        BadData: the layer reaches beyond the grid.
+    """
+    row0, column0, height, width = window = grid.window(vertices[np.unique(faces)], layer)
+    rows, columns = row0 + np.arange(height), column0 + np.arange(width)
+    x = grid.positions(np.zeros(width), columns)[:, 0]
+    y = grid.positions(rows, np.zeros(height))[:, 1]
+    scene = RayScene(vertices, faces)
+    parts = []
+    for view in range(2):
+        hits = scene.orthographic(x, y, back=bool(view))[0]
+        row, column = np.nonzero(hits.hit)
+        texels = np.stack([np.full(len(row), view), rows[row], columns[column]], axis=1)
+        parts.append((texels, hits.face[hits.hit], hits.barycentric[hits.hit]))
+    texels, face, barycentric = (np.concatenate(column) for column in zip(*parts, strict=True))
+    barycentric = np.clip(barycentric.astype(np.float64), 0.0, 1.0)
+    barycentric /= barycentric.sum(axis=1, keepdims=True)
+    return Texels(texels.astype(np.int32), window, face, barycentric)

@@ -1,0 +1,42 @@
+"""Faces that the change of pose has torn apart: found by the growth of their edges, and cut."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Tears:
+    """Edges that grew too much.
+
+    Attributes:
+        faces: (F',3) the faces that are left.
+        torn_edges: how many edges grew by more than the limit.
+        cut_faces: how many faces were taken away with them.
+        largest_growth: of all edges longer than the noise limit afterwards.
+    """
+
+    faces: np.ndarray
+    torn_edges: int
+    cut_faces: int
+    largest_growth: float
+
+
+def cut_tears(
+    faces: np.ndarray, before: np.ndarray, after: np.ndarray, growth: float, shortest: float
+) -> Tears:
+    """Drop faces with an edge that is `growth` times longer `after` than `before` and longer than `shortest`.
+
+    Arguments:
+        faces: (F, 3). before, after: (V, 3) metres.
+    """
+    ends = faces, np.roll(faces, -1, axis=1)
+    length_before = np.linalg.norm(before[ends[0]] - before[ends[1]], axis=2)
+    length_after = np.linalg.norm(after[ends[0]] - after[ends[1]], axis=2)
+    factor = np.where(length_after > shortest, length_after / np.maximum(length_before, 1e-6), 1.0)
+    torn = factor > growth
+    edges = np.sort(np.stack(ends, axis=2)[torn], axis=1)
+    kept = faces[~torn.any(axis=1)]
+    return Tears(kept, len(np.unique(edges, axis=0)), len(faces) - len(kept), float(factor.max(initial=0.0)))

@@ -1,0 +1,37 @@
+"""Configuration of `gw segment-layers`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class SegmentLayersConfig:
+    """How the template is split into layers.
+
+    Attributes:
+        labels: "images" (vote of the label images), "scan" (labels that came with the scan) or "auto"
+            (images where there are any, else scan).
+        smoothness: cost of a label border, per edge, against the cost of disagreeing with the votes.
+        expansions: sweeps of the graph cut over all labels.
+        smallest_island_m2: patches of a label smaller than this take the label around them.
+        smallest_share: a garment covering less of the template's area than this is not there.
+        extended_rings: rings of faces by which a garment reaches under its neighbour.
+        ring_depth_m: how much deeper each further ring lies.
+    """
+
+    labels: str = "auto"
+    smoothness: float = 1.0
+    expansions: int = 2
+    smallest_island_m2: float = 0.003
+    smallest_share: float = 0.005
+    extended_rings: int = 2
+    ring_depth_m: float = 0.002
+
+
+PRESETS: dict[str, SegmentLayersConfig] = {
+    "tiny": SegmentLayersConfig(),
+    "draft": SegmentLayersConfig(),
+    "balanced": SegmentLayersConfig(),
+    "paper": SegmentLayersConfig(),
+}

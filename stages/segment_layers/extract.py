@@ -1,0 +1,59 @@
+"""Cutting a labelled template into layer meshes that reach under their neighbours."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class LayerPart:
+    """One part of a mesh.
+
+    Attributes:
+        vertex_numbers: (V',) which vertices of the whole it has.
+        faces: (F', 3) numbers into `vertex_numbers`.
+        ring: (V',) 0 for own vertices, r for vertices added in the r-th ring under a neighbour.
+    """
+
+    vertex_numbers: np.ndarray
+    faces: np.ndarray
+    ring: np.ndarray
+
+
+def extract_part(
+    faces: np.ndarray, own: np.ndarray, allowed: np.ndarray, rings: int, vertex_count: int
+) -> LayerPart:
+    """The faces marked `own`, and `rings` further rings of faces marked `allowed`.
+
+    Arguments:
+        faces: (F, 3). own, allowed: (F,) bool.
+    """
+    taken = own.copy()
+    ring = np.full(vertex_count, -1)
+    ring[faces[own]] = 0
+    for number in range(1, rings + 1):
+        grown = allowed & ~taken & (ring[faces] >= 0).any(axis=1)
+        new = faces[grown].ravel()
+        ring[new[ring[new] < 0]] = number
+        taken |= grown
+    numbers = np.flatnonzero(ring >= 0)
+    place = np.full(vertex_count, -1)
+    place[numbers] = np.arange(len(numbers))
+    return LayerPart(numbers, place[faces[taken]], ring[numbers])
+
+
+def sink(vertices: np.ndarray, normals: np.ndarray, ring: np.ndarray, depth: float) -> np.ndarray:
+    """Move vertices (V, 3) of ring r inward by r · depth along their normals, so that the neighbour covers them."""
+    return vertices - (ring * depth)[:, None] * normals
+
+
+def join(parts: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """Several meshes with the same per-vertex arrays as one; `faces` are renumbered."""
+    offsets = np.cumsum([0] + [len(part["vertices"]) for part in parts[:-1]])
+    joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0] if name != "faces"}
+    joined["faces"] = np.concatenate(
+        [part["faces"] + offset for part, offset in zip(parts, offsets, strict=True)]
+    ).astype(np.int32)
+    return joined

@@ -1,0 +1,102 @@
+"""Tidying a labelled mesh: edges, islands, absent garments, faces."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+_JOIN = 1e-5  # metres: vertices closer than this are one place, though the mesh stores them twice
+
+
+def mesh_edges(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(E, 2) undirected edges of faces (F, 3), u < v, once each, and links between coincident vertices."""
+    sides = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    joined = cKDTree(vertices).query_pairs(_JOIN, output_type="ndarray")
+    edges = np.sort(np.concatenate([sides, joined.reshape(-1, 2)]), axis=1)
+    edges = edges[edges[:, 0] != edges[:, 1]]
+    return np.unique(edges, axis=0)
+
+
+def vertex_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(V,) m²: a third of the area of the faces around each vertex."""
+    corners = vertices[faces]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    return np.bincount(faces.ravel(), np.repeat(area / 3, 3), minlength=len(vertices))
+
+
+def remove_islands(
+    labels: np.ndarray, edges: np.ndarray, areas: np.ndarray, smallest: float, rounds: int = 4
+) -> np.ndarray:
+    """Give patches of one label smaller than `smallest` m² the label they share most edges with.
+
+    A patch without neighbours of another label (a separate piece of the mesh) keeps its label, and so does
+    the largest patch of every label.
+    """
+    labels = labels.copy()
+    for _ in range(rounds):
+        patches, patch_labels, patch_areas = _patches(labels, edges, areas)
+        largest = {
+            int(np.flatnonzero(patch_labels == label)[patch_areas[patch_labels == label].argmax()])
+            for label in np.unique(labels)
+        }
+        small = [p for p in np.flatnonzero(patch_areas < smallest) if int(p) not in largest]
+        if not small:
+            break
+        if not _absorb(labels, edges, patches, small):
+            break
+    return labels
+
+
+def drop_absent(
+    labels: np.ndarray, edges: np.ndarray, areas: np.ndarray, garments: tuple[int, ...], share: float
+) -> np.ndarray:
+    """Dissolve garment labels that cover less than `share` of the area into what is around them."""
+    labels = labels.copy()
+    for label in garments:
+        inside = labels == label
+        if not inside.any() or areas[inside].sum() >= share * areas.sum():
+            continue
+        patches, patch_labels, _ = _patches(labels, edges, areas)
+        _absorb(labels, edges, patches, list(np.flatnonzero(patch_labels == label)))
+        labels[labels == label] = 0
+    return labels
+
+
+def face_labels(labels: np.ndarray, faces: np.ndarray, outermost: tuple[int, ...]) -> np.ndarray:
+    """(F,) label of at least two corners; with three different ones, the one first in `outermost`."""
+    corner = labels[faces]
+    majority = np.where(corner[:, 1] == corner[:, 2], corner[:, 1], corner[:, 0])
+    split = (corner[:, 0] != corner[:, 1]) & (corner[:, 1] != corner[:, 2]) & (corner[:, 0] != corner[:, 2])
+    rank = np.full(256, len(outermost))
+    rank[list(outermost)] = np.arange(len(outermost))
+    first = np.take_along_axis(corner, rank[corner].argmin(axis=1)[:, None], axis=1)[:, 0]
+    return np.where(split, first, majority)
+
+
+def _patches(labels: np.ndarray, edges: np.ndarray, areas: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Patch number (V,), label (P,) and area (P,) of the connected patches of equal label."""
+    same = edges[labels[edges[:, 0]] == labels[edges[:, 1]]]
+    graph = sparse.coo_matrix((np.ones(len(same)), (same[:, 0], same[:, 1])), shape=(len(labels),) * 2)
+    count, patches = connected_components(graph, directed=False)
+    patch_labels = np.zeros(count, dtype=labels.dtype)
+    patch_labels[patches] = labels
+    return patches, patch_labels, np.bincount(patches, areas, minlength=count)
+
+
+def _absorb(labels: np.ndarray, edges: np.ndarray, patches: np.ndarray, chosen: list[int]) -> bool:
+    """Relabel, in place, the chosen patches by the most frequent other label across their border."""
+    changed = False
+    border = edges[labels[edges[:, 0]] != labels[edges[:, 1]]]
+    pairs = np.concatenate([border, border[:, ::-1]])
+    inside = np.isin(patches[pairs[:, 0]], chosen)
+    pairs = pairs[inside]
+    across = labels[pairs[:, 1]].copy()
+    own = patches[pairs[:, 0]]
+    for patch in chosen:
+        around = across[own == patch]
+        if len(around):
+            labels[patches == patch] = np.bincount(around).argmax()
+            changed = True
+    return changed

@@ -1,4 +1,4 @@
-"""Captures: cameras, pictures, masks, labels and poses of one dressed person, whatever their layout on disk."""
+"""Captures: cameras, pictures, masks, labels and poses of one dressed person, in any layout on disk."""
 
 from stages.shared.capture.camera import Box, Camera
 from stages.shared.capture.labels import LABEL_COLORS, LABELS, LAYER_OF_LABEL, LAYERS, NO_LABEL, label_picture

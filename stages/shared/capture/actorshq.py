@@ -1,8 +1,8 @@
-"""Reader for the ActorsHQ layout: `SequenceN/{1x,2x,4x}/{calibration.csv, rgbs, masks}` with `smpl_params.npz` and labels.
+"""Reader for the ActorsHQ layout: `SequenceN/{1x,2x,4x}/{calibration.csv, rgbs, masks}` with `smpl_params.npz`.
 
-`calibration.csv` holds camera-to-world axis-angle and position, focal length and principal point divided by the image
-size. Labels (`labels/CamNNN/label-fFFFFFF.png`), `scene.json` entries `split`, `fps`, `train_cameras`,
-`heldout_cameras`, and scans (`gt/scan-fFFFFFF.ply` or beside) are additions to the published layout, and optional.
+`calibration.csv` holds camera-to-world axis-angle and position, and focal length and principal point divided by
+the image size. Labels (`labels/CamNNN/label-fFFFFFF.png`), the entries `split`, `fps`, `train_cameras` and
+`heldout_cameras` of `scene.json`, and scans (`gt/scan-fFFFFFF.ply` or beside) are additions, all optional.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _USUAL_HELDOUT = ("Cam128",)
 
 
 def sequence_folders(root: Path) -> list[Path]:
-    """Scale folders of the sequences at `root`: an actor, a sequence or a scale folder; empty for other layouts."""
+    """Scale folders of the sequences at `root`: an actor, a sequence or a scale folder."""
     if (root / "calibration.csv").is_file():
         return [root]
     folders = [root, *sorted(root.glob("Sequence*"))]
@@ -200,7 +200,7 @@ def _split(scene: dict[str, Any], place: int, count: int, scene_path: Path) -> S
         return "train" if place == 0 or count == 1 else "test"
     if split not in ("train", "test"):
         raise BadData(f"split is {split!r}.", str(scene_path), 'Write "train" or "test".')
-    return split  # type: ignore[no-any-return]
+    return split
 
 
 def _scan(sequence: Path) -> tuple[Path | None, int | None]:

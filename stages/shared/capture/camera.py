@@ -71,7 +71,7 @@ class Camera:
         return np.where(depth[..., None] > 0, pixels, np.nan), depth
 
     def rays(self) -> tuple[Matrix, Matrix]:
-        """Origin (3,) and directions (H, W, 3), world, through the pixel centres; depth 1 along the axis per unit."""
+        """Origin (3,) and directions (H, W, 3), world, through the pixel centres; one length is 1 m of depth."""
         columns, rows = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)
         pixels = np.stack([columns, rows, np.ones_like(columns)], axis=-1)
         in_camera = pixels @ np.linalg.inv(self.intrinsics).T
@@ -136,9 +136,9 @@ def checked_camera(
     if not np.allclose(camera.intrinsics[2], [0, 0, 1], atol=1e-9):
         raise refuse("the last row of the intrinsics is not 0 0 1")
     rotation = camera.camera_from_world[:3, :3]
-    error = np.abs(rotation @ rotation.T - np.eye(3)).max()
-    if error > ROTATION_TOLERANCE or np.linalg.det(rotation) < 0:
+    off = np.abs(rotation @ rotation.T - np.eye(3)).max()
+    if off > ROTATION_TOLERANCE or np.linalg.det(rotation) < 0:
         raise refuse(
-            f"its rotation matrix is no rotation (off by {error:.2g}, determinant {np.linalg.det(rotation):.3g})"
+            f"its matrix is no rotation (off by {off:.2g}, determinant {np.linalg.det(rotation):.3g})"
         )
     return camera

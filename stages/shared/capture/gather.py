@@ -20,7 +20,7 @@ _MAX_NAMES = 1_000_000
 
 
 def numbered_files(folder: Path, pattern: re.Pattern[str]) -> dict[int, Path]:
-    """Frame number (group 1 of `pattern`, matched on the whole name) to file; empty when there is no folder."""
+    """Frame number (group 1 of `pattern`, for the whole name) to file; empty without a folder."""
     found: dict[int, Path] = {}
     if not folder.is_dir():
         return found

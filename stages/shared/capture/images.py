@@ -1,4 +1,4 @@
-"""Images and masks from PNG and JPEG files: header first, then pixels, then the size that the camera promises."""
+"""Images and masks from PNG and JPEG files: header first, then pixels, then the size the camera promises."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def decode(
     if image is None or image.shape[:2] != (height, width):
         raise damaged(path, "it cannot be decoded")
     if image.dtype == np.uint16:
-        image = (image >> 8).astype(np.uint8)
+        image = np.right_shift(image, 8).astype(np.uint8)
     if image.ndim == 3 and image.shape[2] == 1:
         image = image[..., 0]
     return image

@@ -1,4 +1,4 @@
-"""Reader for the native layout (docs/formats.md): one folder, `capture.json`, `cameras.json`, `takes/<name>/…`."""
+"""Reader for the native layout (docs/formats.md): `capture.json`, `cameras.json`, `takes/<name>/…`."""
 
 from __future__ import annotations
 

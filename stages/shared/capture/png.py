@@ -85,7 +85,7 @@ def damaged(path: Path, reason: str) -> BadData:
 
 
 def _check_png(data: bytes, path: Path) -> tuple[int, int]:
-    kinds = []
+    kinds: list[bytes] = []
     size = (0, 0)
     for kind, body in _chunks(data, path):
         if not kinds:

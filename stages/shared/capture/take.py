@@ -1,4 +1,4 @@
-"""A capture in memory: takes of one dressed person, seen by calibrated cameras, with poses. Pixels are read when asked for."""
+"""A capture in memory: takes of one person, calibrated cameras, poses. Pixels are read when asked for."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ class Take:
 
 
 def box_around(inside: NDArray[np.bool_], margin: int, width: int, height: int) -> Box:
-    """The box (left, top, right, bottom) around the true pixels of (H, W), widened and clipped to the image."""
+    """The box (left, top, right, bottom) around the true pixels of (H, W), widened, inside the image."""
     columns, rows = np.flatnonzero(inside.any(axis=0)), np.flatnonzero(inside.any(axis=1))
     return (
         max(0, int(columns[0]) - margin),

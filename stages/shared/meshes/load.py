@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,12 +55,12 @@ def write_ply(path: Path, mesh: Mesh, normals: NDArray[np.float32] | None = None
 
 
 def _decode_with_trimesh(data: bytes, kind: str, path: Path) -> Mesh:
-    """All other formats. The file is given as a stream without a folder, so that it cannot refer to other files."""
+    """All other formats; given as a stream without a folder, so that it cannot refer to other files."""
     import trimesh
 
-    options = {"skip_materials": True, "process": False} if kind == "obj" else {"process": False}
+    options: dict[str, Any] = {"skip_materials": True} if kind == "obj" else {}
     try:
-        loaded = trimesh.load(io.BytesIO(data), file_type=kind, force="mesh", **options)
+        loaded: Any = trimesh.load(io.BytesIO(data), file_type=kind, force="mesh", process=False, **options)
         faces, vertices = np.asarray(loaded.faces), np.asarray(loaded.vertices)
         colors = _vertex_colors(loaded)
     except Exception as error:  # parsers of foreign formats fail in every way there is
@@ -73,11 +73,11 @@ def _decode_with_trimesh(data: bytes, kind: str, path: Path) -> Mesh:
     return Mesh(vertices.reshape(-1, 3), faces.reshape(-1, 3), colors)
 
 
-def _vertex_colors(loaded: object) -> NDArray[np.uint8] | None:
+def _vertex_colors(loaded: Any) -> NDArray[np.uint8] | None:
     visual = getattr(loaded, "visual", None)
-    if getattr(visual, "kind", None) != "vertex":
+    if visual is None or visual.kind != "vertex":
         return None
-    return np.asarray(visual.vertex_colors)[:, :3].astype(np.uint8)  # type: ignore[union-attr]
+    return np.asarray(visual.vertex_colors)[:, :3].astype(np.uint8)
 
 
 def _weld(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> tuple[NDArray, NDArray]:

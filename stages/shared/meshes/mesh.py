@@ -52,15 +52,15 @@ def check_mesh(mesh: Mesh, where: str) -> Mesh:
         )
     if len(mesh.vertices) > MAX_VERTICES or len(mesh.faces) > MAX_FACES:
         raise BadData(
-            f"The mesh has {len(mesh.vertices)} vertices and {len(mesh.faces)} faces; at most {MAX_VERTICES} and "
-            f"{MAX_FACES} are read.",
+            f"The mesh has {len(mesh.vertices)} vertices and {len(mesh.faces)} faces, more than can be read "
+            f"({MAX_VERTICES} and {MAX_FACES}).",
             where,
             "Simplify the mesh.",
         )
     broken = ~np.isfinite(mesh.vertices).all(axis=1)
     if broken.any():
         raise BadData(
-            f"{int(broken.sum())} vertices are NaN or infinite, the first is vertex {int(np.argmax(broken))}.",
+            f"{int(broken.sum())} vertices are NaN or infinite, the first is {int(np.argmax(broken))}.",
             where,
             "Remove them, or export the mesh again.",
         )

@@ -1,9 +1,8 @@
-"""PLY meshes: a bounded reader for ASCII and both binary byte orders, and a writer that gives the same bytes each time."""
+"""PLY meshes: a bounded reader for ASCII and both binary byte orders, and a writer with reproducible bytes."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -147,7 +146,7 @@ def _binary_table(
 def _binary_lists(
     data: bytes, position: int, element: _Element, order: str, where: str
 ) -> tuple[NDArray[np.int64], int]:
-    """Triangles (n, 3) of an element with lists: in one piece when every row has equally long lists, else row by row."""
+    """Triangles (n, 3) of an element with lists: at once when all rows are equally long, else row by row."""
     counts = _first_row_counts(data, position, element, order)
     if counts is None:
         if element.count:

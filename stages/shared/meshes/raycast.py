@@ -19,7 +19,7 @@ NO_HIT = -1
 
 
 class RayCamera(Protocol):
-    """Anything with an origin (3,) and directions (H, W, 3) of the rays through its pixel centres, world frame."""
+    """Anything with an origin (3,) and directions (H, W, 3) of the rays through its pixel centres, world."""
 
     def rays(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]: ...
 
@@ -89,7 +89,7 @@ class RayScene:
         return Hits(distance, np.where(hit, face, NO_HIT).astype(np.int32), barycentric)
 
     def render(self, camera: RayCamera) -> Hits:
-        """The mesh through a camera: hits (H, W), one ray per pixel centre; distance is depth along the axis."""
+        """The mesh through a camera: hits (H, W), a ray per pixel centre; distance is depth along the axis."""
         origin, directions = camera.rays()
         return self.first_hits(origin, directions)
 
@@ -118,14 +118,14 @@ class RayScene:
         return np.asarray(self._scene.compute_distance(query).numpy())
 
     def signed_distance(self, points: ArrayLike, samples: int = 5) -> Floats:
-        """(N,) distance to the mesh, metres, negative inside (majority of `samples` rays); for closed meshes."""
+        """(N,) distance to a closed mesh, metres, negative inside (majority of `samples` rays)."""
         query = self._open3d.core.Tensor(np.ascontiguousarray(points, dtype=np.float32))
         return np.asarray(self._scene.compute_signed_distance(query, nsamples=samples).numpy())
 
     def orthographic(self, x: ArrayLike, y: ArrayLike, back: bool = False, layers: int = 1) -> list[Hits]:
         """Parallel views along z: rays at columns x (W,) and rows y (H,), from +z (front) or -z (back).
 
-        Returns `layers` sets of hits (H, W): the first, the second, … surface met. Distance is measured from a
+        Returns `layers` sets of hits (H, W): the first, the second, … surface met. Distance counts from a
         plane 1 m before the mesh. Rows follow `y`, columns follow `x`; the back view keeps the columns of the
         front view (it is not mirrored).
         """

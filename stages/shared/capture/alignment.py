@@ -1,0 +1,196 @@
+"""Do calibration, poses and masks belong together? The posed body, projected, must lie inside the masks.
+
+A body model is thinner than the dressed person, so nearly all of its silhouette is inside the mask when the cameras
+are right, and nearly none of it when an axis is turned round.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.shared.capture.convention import AS_IS, CONVENTIONS, take_in_convention
+from stages.shared.capture.take import MASK_THRESHOLD, Take
+from stages.shared.errors import BadData
+from stages.shared.meshes.raycast import RayScene
+
+BAR = 0.90  # of the silhouette, on average over the cameras
+CAMERA_BAR = 0.70  # for each camera
+COVER_BAR = 0.15  # of the mask that the body must cover: a body of the wrong scale is a dot inside every mask
+_LONG_SIDE = 320  # pixels at which silhouettes are compared
+_Vertices = Mapping[int, NDArray[np.floating]]
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """How well the body fits the masks.
+
+    Attributes:
+        convention: how the camera matrices had to be read (`CONVENTIONS`); "as is" means as the capture says.
+        inside: camera to the share of the body's silhouette inside the mask, mean of the frames looked at.
+        covered: camera to the share of the mask that the body covers.
+        tried: convention to the mean share inside, in the order tried.
+        frames: the frames looked at.
+    """
+
+    convention: str
+    inside: dict[str, float]
+    covered: dict[str, float]
+    tried: dict[str, float]
+    frames: tuple[int, ...]
+
+    @property
+    def mean_inside(self) -> float:
+        """Mean share inside over the cameras."""
+        return float(np.mean(list(self.inside.values())))
+
+
+def check_alignment(
+    take: Take, vertices: _Vertices, faces: NDArray[np.integer], bar: float = BAR
+) -> Alignment:
+    """Project the posed body into the masks; find the camera convention in which it fits.
+
+    Arguments:
+        take: cameras and masks.
+        vertices: frame to vertices (V, 3) of the posed body, world, metres; two or three frames will do.
+        faces: (F, 3) of the body.
+        bar: least mean share inside.
+
+    Raises:
+        BadData: an empty mask, or no convention fits: the shares of each one tried are named.
+    """
+    masks = {
+        (camera, frame): _small_mask(take, camera, frame)
+        for camera in take.training_cameras
+        for frame in vertices
+        if take.has_image(camera, frame)
+    }
+    scenes = {frame: RayScene(vertices[frame], faces) for frame in vertices}
+    tried: dict[str, float] = {}
+    best: Alignment | None = None
+    for convention in CONVENTIONS:
+        inside, covered = _shares(take_in_convention(take, convention), masks, scenes)
+        tried[convention] = float(np.mean(list(inside.values())))
+        found = Alignment(convention, inside, covered, tried, tuple(vertices))
+        if best is None or found.mean_inside > best.mean_inside:
+            best = found
+        if convention == AS_IS and _passes(found, bar):
+            return found
+    assert best is not None
+    if not _passes(best, bar):
+        raise _refusal(take, best, bar)
+    return best
+
+
+def overlay_picture(
+    take: Take,
+    frame: int,
+    vertices: NDArray[np.floating],
+    faces: NDArray[np.integer],
+    inside: Mapping[str, float],
+) -> NDArray[np.uint8]:
+    """A sheet (H, W, 3) u8 sRGB of all training views: image, outline of the body in magenta, of the mask in green."""
+    scene = RayScene(vertices, faces)
+    tiles = []
+    for name in take.training_cameras:
+        if not take.has_image(name, frame):
+            continue
+        camera = take.camera(name)
+        factor = _LONG_SIDE / max(camera.width, camera.height)
+        small = camera.scaled(factor)
+        image = cv2.resize(take.image(name, frame), (small.width, small.height), interpolation=cv2.INTER_AREA)
+        tile = np.zeros((_LONG_SIDE, _LONG_SIDE, 3), np.uint8)
+        mask = cv2.resize(take.mask(name, frame), (small.width, small.height), interpolation=cv2.INTER_AREA)
+        _draw_outline(image, mask > MASK_THRESHOLD, (60, 220, 60))
+        _draw_outline(image, scene.render(small).hit, (255, 0, 200))
+        tile[: small.height, : small.width] = image
+        text = name + (f"  {100 * inside[name]:.1f} % inside" if name in inside else "")
+        cv2.putText(
+            tile, text, (6, _LONG_SIDE - 8), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (255, 255, 255), 1, cv2.LINE_AA
+        )
+        tiles.append(tile)
+    return contact_sheet(tiles)
+
+
+def contact_sheet(tiles: list[NDArray[np.uint8]], columns: int = 4) -> NDArray[np.uint8]:
+    """Pictures of one size in rows of `columns`, black where there are too few."""
+    columns = min(columns, len(tiles))
+    rows = -(-len(tiles) // columns)
+    blank = np.zeros_like(tiles[0])
+    padded = tiles + [blank] * (rows * columns - len(tiles))
+    return np.concatenate(
+        [np.concatenate(padded[row * columns : (row + 1) * columns], axis=1) for row in range(rows)], axis=0
+    )
+
+
+def _draw_outline(image: NDArray[np.uint8], inside: NDArray[np.bool_], color: tuple[int, int, int]) -> None:
+    contours, _ = cv2.findContours(inside.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    cv2.drawContours(image, contours, -1, color, 1)
+
+
+def _small_mask(take: Take, camera: str, frame: int) -> NDArray[np.bool_]:
+    mask = take.mask(camera, frame)
+    if mask.max() <= MASK_THRESHOLD:
+        raise take.empty_mask(camera, frame)
+    small = take.camera(camera).scaled(min(1.0, _LONG_SIDE / max(mask.shape)))
+    resized = cv2.resize(mask, (small.width, small.height), interpolation=cv2.INTER_AREA)
+    return np.asarray(resized > MASK_THRESHOLD)
+
+
+def _shares(
+    take: Take, masks: Mapping[tuple[str, int], NDArray[np.bool_]], scenes: Mapping[int, RayScene]
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Camera to share of the silhouette inside the mask, and to share of the mask covered."""
+    inside: dict[str, list[float]] = {}
+    covered: dict[str, list[float]] = {}
+    for (name, frame), mask in masks.items():
+        camera = take.camera(name)
+        silhouette = (
+            scenes[frame].render(camera.scaled(min(1.0, _LONG_SIDE / max(camera.width, camera.height)))).hit
+        )
+        both = float((silhouette & mask).sum())
+        inside.setdefault(name, []).append(both / max(int(silhouette.sum()), 1))
+        covered.setdefault(name, []).append(both / max(int(mask.sum()), 1))
+    return (
+        {name: float(np.mean(shares)) for name, shares in inside.items()},
+        {name: float(np.mean(shares)) for name, shares in covered.items()},
+    )
+
+
+def _passes(found: Alignment, bar: float) -> bool:
+    return (
+        found.mean_inside >= bar
+        and min(found.inside.values()) >= CAMERA_BAR
+        and float(np.mean(list(found.covered.values()))) >= COVER_BAR
+    )
+
+
+def _refusal(take: Take, best: Alignment, bar: float) -> BadData:
+    shares = "; ".join(f"{name}: {100 * share:.0f} %" for name, share in best.tried.items())
+    where = f"{take.name}, frames {', '.join(map(str, best.frames))}; camera matrices tried {shares}"
+    worst = min(best.inside, key=lambda name: best.inside[name])
+    covered = float(np.mean(list(best.covered.values())))
+    if best.mean_inside >= bar and best.inside[worst] < CAMERA_BAR:
+        return BadData(
+            f"Camera {worst} sees only {100 * best.inside[worst]:.0f} % of the projected body inside its mask; "
+            f"the others fit.",
+            where,
+            f"Mend the calibration or the masks of {worst}, or leave this camera out.",
+        )
+    if best.mean_inside >= bar:
+        return BadData(
+            f"The projected body covers only {100 * covered:.1f} % of the masks: its scale or place is wrong.",
+            where,
+            "Check the units of calibration and poses: both must be metres.",
+        )
+    return BadData(
+        f"The projected body lies only {100 * best.mean_inside:.0f} % inside the masks, at least {100 * bar:.0f} % is "
+        "needed: calibration, poses and masks do not belong together.",
+        where,
+        "Check calibration, units (metres), the body model (--body-model) and that poses and images have the same "
+        "frame numbers.",
+    )

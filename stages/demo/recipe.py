@@ -71,7 +71,7 @@ def _synthesise(config: DemoConfig) -> DemoStep:
 
 def _learn(subject: str, config: DemoConfig) -> list[DemoStep]:
     preset = ("--preset", config.preset)
-    train_options = preset + ("--seed", str(config.seed), "--device", config.device)
+    train_options: tuple[str, ...] = preset + ("--seed", str(config.seed), "--device", config.device)
     if config.train_minutes is not None:
         train_options += ("--minutes", f"{config.train_minutes:g}")
     table: list[tuple[str, str, tuple[str, ...], str]] = [

@@ -1,0 +1,126 @@
+"""Two people of clearly different shape, and their body surface in any pose.
+
+Shapes are asked for by measures (height, girth, leg girth, shoulder width), not by shape coefficients, so
+that the two people look the same whatever basis the embedded body happens to use.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from stages.shared.body import JOINT_INDEX, BodyModel, Poses, bone_transforms, shaped_joints, skin
+from stages.shared.body.skeleton import PARENTS
+
+Floats = NDArray[np.float64]
+
+TORSO = ("pelvis", "spine1", "spine2", "spine3")
+LEGS = ("left_hip", "right_hip", "left_knee", "right_knee")
+# Keeps the coefficients near what the population has; larger gives milder bodies.
+_PRIOR = 0.004
+
+
+@dataclass(frozen=True)
+class Person:
+    """What is asked of a body: differences from the mean adult, metres.
+
+    Attributes:
+        name: folder of the capture.
+        height, torso_girth, leg_girth, shoulder_width: differences; girths are mean radii.
+        skin, hair, shoes: albedo, sRGB 0..1.
+    """
+
+    name: str
+    height: float
+    torso_girth: float
+    leg_girth: float
+    shoulder_width: float
+    skin: tuple[float, float, float]
+    hair: tuple[float, float, float]
+    shoes: tuple[float, float, float]
+
+
+PERSON_1 = Person(
+    "subject_1", -0.13, -0.016, -0.004, -0.022, (0.86, 0.66, 0.54), (0.30, 0.17, 0.09), (0.16, 0.17, 0.24)
+)
+PERSON_2 = Person(
+    "subject_2", 0.06, 0.022, 0.008, 0.022, (0.62, 0.43, 0.32), (0.10, 0.09, 0.09), (0.55, 0.36, 0.20)
+)
+
+
+def betas_of(body: BodyModel, person: Person) -> NDArray[np.float32]:
+    """(10,) shape whose measures differ from the mean as the person asks (regularised least squares)."""
+    template = body.template_vertices.astype(np.float64)
+    directions = body.shape_directions.astype(np.float64)  # (V, 3, 10)
+    joints = np.asarray(body.joint_regressor, np.float64) @ template  # (J, 3)
+    owner = body.skin_weights.argmax(axis=1)
+    top, bottom = template[:, 1].argmax(), template[:, 1].argmin()
+    shoulders = np.einsum("jv,vkb->jkb", np.asarray(body.joint_regressor, np.float64), directions)
+    rows = np.stack(
+        [
+            directions[top, 1] - directions[bottom, 1],
+            _radial(template, directions, joints, owner, TORSO),
+            _radial(template, directions, joints, owner, LEGS),
+            shoulders[JOINT_INDEX["left_shoulder"], 0] - shoulders[JOINT_INDEX["right_shoulder"], 0],
+        ]
+    )
+    wanted = np.array([person.height, person.torso_girth, person.leg_girth, person.shoulder_width])
+    scale = np.array([0.2, 1.0, 1.0, 0.7])  # a centimetre of girth shows more than one of height
+    rows, wanted = rows * scale[:, None], wanted * scale
+    normal = rows.T @ rows + _PRIOR**2 * np.eye(rows.shape[1])
+    return np.linalg.solve(normal, rows.T @ wanted).astype(np.float32)
+
+
+def _radial(
+    template: Floats, directions: Floats, joints: Floats, owner: NDArray[np.integer], names: tuple[str, ...]
+) -> Floats:
+    """(10,) mean change of the horizontal distance from the bone, over the vertices those joints own."""
+    rows = []
+    for name in names:
+        joint = JOINT_INDEX[name]
+        chosen = np.flatnonzero(owner == joint)
+        away = template[chosen] - joints[joint]
+        away[:, 1] = 0.0
+        away /= np.linalg.norm(away, axis=1, keepdims=True) + 1e-9
+        rows.append(np.einsum("vk,vkb->b", away, directions[chosen]) / len(chosen))
+    return np.mean(rows, axis=0)
+
+
+class ShapedBody:
+    """A body of one shape: poses its own surface and whatever is bound to its bones."""
+
+    def __init__(self, model: BodyModel, betas: NDArray[np.float32]) -> None:
+        self.model = model
+        self.betas = betas
+        shape = torch.from_numpy(np.asarray(betas, np.float64))
+        self._joints = shaped_joints(model, shape)
+        self.rest_vertices: Floats = (
+            model.template_vertices.astype(np.float64) + model.shape_directions.astype(np.float64) @ betas
+        )
+        self.joints: Floats = self._joints.numpy()
+        self.faces = np.ascontiguousarray(model.faces, dtype=np.int64)
+        self.weights: Floats = model.skin_weights.astype(np.float64)
+
+    def transforms(self, rotations: NDArray[np.floating], translation: NDArray[np.floating]) -> Floats:
+        """(..., 55, 4, 4) posed_from_rest of (..., 55, 3) axis-angle and (..., 3) metres."""
+        turned = torch.from_numpy(np.asarray(rotations, np.float64))
+        moved = torch.from_numpy(np.asarray(translation, np.float64))
+        return bone_transforms(turned, self._joints, PARENTS, moved).numpy()
+
+    def pose(self, points: Floats, weights: Floats, transforms: Floats) -> Floats:
+        """(..., V, 3) of rest points (V, 3), weights (V, 55), transforms (..., 55, 4, 4)."""
+        return skin(torch.from_numpy(points), torch.from_numpy(weights), torch.from_numpy(transforms)).numpy()
+
+    def posed(self, rotations: NDArray[np.floating]) -> Floats:
+        """(V, 3) own surface in one pose (55, 3), pelvis where the rest pose has it."""
+        return self.pose(self.rest_vertices, self.weights, self.transforms(rotations, np.zeros(3)))
+
+    def animate(self, poses: Poses) -> NDArray[np.float32]:
+        """(T, V, 3) own surface in every frame, world."""
+        frames = []
+        for transforms in self.transforms(poses.rotations, poses.translation):
+            frames.append(self.pose(self.rest_vertices, self.weights, transforms).astype(np.float32))
+        return np.stack(frames)

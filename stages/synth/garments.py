@@ -1,0 +1,113 @@
+"""Garments as geometry: cut around the mean body in its rest pose, then graded to a person's shape.
+
+Upper garments and trousers are offset surfaces of the body (`shells`), the skirt is a flared cone from the
+waist. A cut garment is a `Pattern`; `fit` moves it by the body's own shape offsets, smoothed, which is also
+how one person's skirt is given to another person.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.synth.bodies import ShapedBody
+from stages.synth.coverings import (
+    Cut,
+    open_vest,
+    t_shirt,
+    trousers,
+)
+from stages.synth.grading import carry
+from stages.synth.patterns import Fabric
+from stages.synth.skirt import flared_skirt
+
+Floats = NDArray[np.float64]
+
+UPPER, LOWER, OUTER = 3, 4, 5
+LAYER_NAMES = {UPPER: "upper", LOWER: "lower", OUTER: "outer"}
+
+
+@dataclass(frozen=True, eq=False)
+class Garment:
+    """One garment, fitted to a person.
+
+    Attributes:
+        name: what it is.
+        label: 3 upper, 4 lower, 5 outer.
+        vertices: (V, 3) f64 metres, rest frame of the wearer: also its unstretched shape.
+        faces: (F, 3) i64, normals away from the body.
+        corner_uv: (F, 3, 2) f64 metres, texture coordinates per triangle corner.
+        skin_weights: (V, 55) f64 of the nearest body surface.
+        pinned: (V,) f64, 0 free … 1 moves with the bones.
+        fabric: the pattern.
+        distance: metres kept from the body; outer layers keep more.
+    """
+
+    name: str
+    label: int
+    vertices: Floats
+    faces: NDArray[np.int64]
+    corner_uv: Floats
+    skin_weights: Floats
+    pinned: Floats
+    fabric: Fabric
+    distance: float
+
+    @property
+    def layer(self) -> str:
+        return LAYER_NAMES[self.label]
+
+
+@dataclass(frozen=True, eq=False)
+class Pattern:
+    """A garment before grading: its cut around the mean body, and its fabric."""
+
+    name: str
+    label: int
+    cut: Cut
+    fabric: Fabric
+    distance: float
+
+
+def wardrobe(mean: ShapedBody, spacing: float, seed: int) -> tuple[list[Pattern], list[Pattern]]:
+    """What each of the two people wears, inner layer first."""
+    ripple = float(np.random.default_rng(seed).uniform(0, 2 * np.pi))
+    striped = Fabric(1, 0.052, ((0.93, 0.93, 0.90), (0.10, 0.16, 0.42), (0.96, 0.66, 0.10), (0.62, 0.10, 0.08)))
+    tartan = Fabric(2, 0.118, ((0.66, 0.10, 0.10), (0.09, 0.22, 0.15), (0.95, 0.82, 0.25), (0.93, 0.93, 0.93)))
+    dotted = Fabric(4, 0.056, ((0.10, 0.44, 0.48), (0.96, 0.95, 0.88)))
+    checked = Fabric(3, 0.046, ((0.80, 0.72, 0.58), (0.28, 0.22, 0.20)))
+    argyle = Fabric(5, 0.096, ((0.46, 0.09, 0.22), (0.90, 0.62, 0.20), (0.95, 0.93, 0.90)))
+    shirt = t_shirt(mean, spacing)
+    badge = Fabric(1, striped.period, striped.colors, (0.055, float(mean.joints[9, 1]) + 0.10, 0.042))
+    first = [
+        Pattern("flared skirt", LOWER, flared_skirt(mean, spacing, tartan.period, ripple), tartan, 0.005),
+        Pattern("striped T-shirt", UPPER, shirt, badge, 0.006),
+    ]
+    second = [
+        Pattern("trousers", LOWER, trousers(mean, spacing), checked, 0.005),
+        Pattern("dotted T-shirt", UPPER, shirt, dotted, 0.006),
+        Pattern("open vest", OUTER, open_vest(mean, spacing), argyle, 0.012),
+    ]
+    return first, second
+
+
+def fit(pattern: Pattern, mean: ShapedBody, wearer: ShapedBody) -> Garment:
+    """Grade a pattern to the wearer: add the wearer's shape offsets, carried over from the body and smoothed."""
+    cut = pattern.cut
+    offsets = wearer.rest_vertices - mean.rest_vertices
+    moved = cut.vertices + carry(cut.vertices, cut.faces, mean, offsets)
+    weights = carry(cut.vertices, cut.faces, mean, mean.weights)
+    weights = np.maximum(weights, 0.0)
+    return Garment(
+        pattern.name,
+        pattern.label,
+        moved,
+        cut.faces,
+        cut.corner_uv,
+        weights / weights.sum(axis=1, keepdims=True),
+        cut.pinned,
+        pattern.fabric,
+        pattern.distance,
+    )

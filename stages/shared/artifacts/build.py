@@ -168,7 +168,7 @@ class Build:
         if not self._force and self._is_there(final):
             remove_folder(self.path)
         else:
-            replace_folder(self.path, final)
+            replace_folder(self.path, final, self._workspace.aside(self._manifest.stage, self.key))
         self.artifact = Artifact(final)
         self._workspace.point_at(self.artifact)
         self._workspace.drop_progress(self._manifest.stage, self._manifest.key)
@@ -217,8 +217,10 @@ class Build:
         }
 
     def _abandon(self) -> None:
-        remove_folder(self.path)
-        lock.release(self._workspace.root)
+        try:
+            remove_folder(self.path)
+        finally:
+            lock.release(self._workspace.root)
 
 
 def _library_versions() -> dict[str, str]:

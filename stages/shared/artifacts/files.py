@@ -161,7 +161,7 @@ def write_whole(path: Path, data: Chunks) -> None:
 
 
 def append_whole(path: Path, line: bytes) -> None:
-    """Add one line in a single write. A line cut short by a crash is ended, so that readers can skip it."""
+    """Add to the end of a file in a single write, without waiting for the disk."""
     with _storing(path, len(line)):
         descriptor = _layer.append(path)
         try:
@@ -246,22 +246,21 @@ def whole_folder(path: Path) -> Iterator[Path]:
         for file in sorted(temporary.rglob("*")):
             if file.is_file():
                 flush_file(file)
-        replace_folder(temporary, path)
+        replace_folder(temporary, path, aside=temporary.with_name(temporary.name + "-old"))
     except BaseException:
         remove_folder(temporary)
         raise
 
 
-def replace_folder(source: Path, target: Path) -> None:
+def replace_folder(source: Path, target: Path, aside: Path) -> None:
     """Give the finished folder `source` the name `target`, putting away what stood there.
 
-    A folder that is not empty cannot be replaced by a rename, so the old one steps aside first; it comes
+    A folder that is not empty cannot be replaced by a rename, so the old one first steps to `aside`; it comes
     back if the second rename fails.
     """
     if not target.exists():
         rename(source, target)
         return
-    aside = source.with_name(source.name + "-old")
     rename(target, aside)
     try:
         rename(source, target)

@@ -29,6 +29,7 @@ class Progress:
     def __init__(self, path: Path, release: Callable[[], None]) -> None:
         self.path = path
         self._release: Callable[[], None] | None = release
+        self._ended: set[Path] = set()  # files whose last line is known to be whole
 
     def has(self, name: str) -> bool:
         """Whether a file of this name was written."""
@@ -40,9 +41,7 @@ class Progress:
         Raises:
             BadData: a value is not finite. StorageFailure: disk full; the earlier file stays.
         """
-        chunks = encode_arrays(arrays, name)[1:]
-        content = digest(canonical_json([digest(chunk) for chunk in chunks] + [note]))
-        notes = {"note": canonical_json(note).decode(), _DIGEST_NOTE: content}
+        notes = {"note": canonical_json(note).decode(), _DIGEST_NOTE: _content_digest(arrays, note)}
         write_whole(self._path(name), encode_arrays(arrays, name, notes))
 
     def arrays(self, name: str) -> tuple[Arrays, Any]:
@@ -53,13 +52,11 @@ class Progress:
         """
         path = self._path(name)
         arrays, notes = decode_arrays(bytearray(path.read_bytes()), path)
-        chunks = encode_arrays(arrays, name)[1:]
         try:
             note = strict_json(notes["note"].encode())
-            content = digest(canonical_json([digest(chunk) for chunk in chunks] + [note]))
         except (KeyError, ValueError) as error:
             raise self._damaged(path) from error
-        if content != notes.get(_DIGEST_NOTE):
+        if notes.get(_DIGEST_NOTE) != _content_digest(arrays, note):
             raise self._damaged(path)
         return arrays, note
 
@@ -81,24 +78,25 @@ class Progress:
 
     def append_line(self, name: str, value: Any) -> None:
         """Add one JSON object as a line, in a single write. Survives a kill, not a power cut."""
-        append_whole(self._path(name), canonical_json(value) + b"\n")
+        path = self._path(name)
+        if path not in self._ended and path.exists():
+            self.rewrite_lines(name, self.lines(name))
+        self._ended.add(path)
+        append_whole(path, canonical_json(value) + b"\n")
 
     def lines(self, name: str) -> list[Any]:
         """The lines appended so far, without one that a crash cut short."""
         path = self._path(name)
         if not path.exists():
             return []
-        whole = path.read_bytes().split(b"\n")[:-1]
-        found = []
-        for line in whole:
-            try:
-                found.append(strict_json(line))
-            except ValueError:
-                break  # a line cut short, and whatever was added behind it before anyone looked
-        return found
+        try:
+            return [strict_json(line) for line in path.read_bytes().split(b"\n")[:-1]]
+        except ValueError as error:
+            raise self._damaged(path) from error
 
     def rewrite_lines(self, name: str, values: list[Any]) -> None:
         """Replace all lines, e.g. to drop those behind the checkpoint that is resumed from."""
+        self._ended.add(self._path(name))
         write_whole(self._path(name), b"".join(canonical_json(value) + b"\n" for value in values))
 
     def close(self) -> None:
@@ -127,3 +125,12 @@ class Progress:
             str(path),
             "Run the same command with --force to start anew.",
         )
+
+
+def _content_digest(arrays: Mapping[str, Any], note: Any) -> str:
+    """SHA-256 over names, types, shapes and values."""
+    parts = {
+        name: [digest(chunk) for chunk in encode_arrays({name: array}, name)]
+        for name, array in arrays.items()
+    }
+    return digest(canonical_json({"arrays": parts, "note": note}))

@@ -21,7 +21,7 @@ from stages.shared.artifacts.canonical import (
     unseal,
 )
 from stages.shared.artifacts.external import DigestCache, ExternalFiles, listing_digest
-from stages.shared.artifacts.files import make_folders, remove_folder, write_whole
+from stages.shared.artifacts.files import make_folders, remove_folder, rename, write_whole
 from stages.shared.artifacts.manifest import InputEntry, is_plain_name
 from stages.shared.artifacts.progress import Progress
 from stages.shared.artifacts.spec import StageSpec
@@ -30,6 +30,7 @@ from stages.shared.errors import BadData, MissingInput
 SETTINGS_NAME = "subject.json"
 CURRENT_NAME = "current.json"
 _PROGRESS = ".progress-"
+_ASIDE = f"{TEMPORARY}old-"
 _KEY = re.compile(rf"[0-9a-f]{{{KEY_LENGTH}}}")
 Inputs = Mapping[str, Artifact | ExternalFiles]
 
@@ -203,7 +204,11 @@ class Workspace:
         return Path(os.path.relpath(path, self.root)).as_posix()
 
     def publish(self, artifact: Artifact, file_name: str, as_name: str) -> Path:
-        """Copy a file of an artifact, whole or not at all, to a place where users look for it."""
+        """Copy a file of an artifact, whole or not at all, to a place where users look for it.
+
+        Call it for an artifact that `find` gave too: the process that built it may have been killed before it
+        came to this, and another artifact's copy may stand there. Nothing is written if it is there already.
+        """
         if not is_plain_name(as_name):
             raise ValueError(f"{as_name!r} is not a name inside the workspace")
         target = self.root / as_name
@@ -242,8 +247,16 @@ class Workspace:
         """Remove unfinished work whose artifact is finished. The caller holds the lock."""
         remove_folder(self.root / f".{stage}{_PROGRESS}{key}")
 
+    def aside(self, stage: str, key: str) -> Path:
+        """Where an artifact stands for the moment in which another takes its place."""
+        return self.root / f".{stage}{_ASIDE}{key}"
+
     def clear_leftovers(self) -> None:
         """Remove what killed processes left behind. The caller holds the lock, so none of it is in use."""
+        for aside in self.root.glob(f".*{_ASIDE}*"):
+            stage, key = aside.name[1:].split(_ASIDE)
+            if not (self.root / stage / key).exists():
+                rename(aside, self.root / stage / key)
         for left in [*self.root.glob(f".*{TEMPORARY}*"), *self.root.glob(f"*/.*{TEMPORARY}*")]:
             if left.is_dir() and not left.is_symlink():
                 remove_folder(left)

@@ -22,7 +22,7 @@ class BakeMapsConfig:
     pitch: float = 0.006
     extent_m: float = 2.0
     depth_jump_m: float = 0.03
-    seam_reach_m: float = 0.08
+    seam_reach_m: float = 0.12
     sigma_per_spacing: float = 0.6
     largest_stretch: float = 5.0
     project_colors: bool = True

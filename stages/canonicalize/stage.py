@@ -104,8 +104,10 @@ def run(
             "shape_directions": directions.astype(np.float32),
         }
         round_trip = round_trip_residual(mesh, pose, transforms, world)
-        build.write_arrays("template", mesh | _carried(template), _ABOUT)
-        build.write_arrays("body", _body_arrays(body, body_vertices, body_directions), _ABOUT)
+        mesh |= {name: template[name] for name in ("colors", "labels") if name in template}
+        build.write_arrays("template", mesh, _about(mesh))
+        body_mesh = _body_arrays(body, body_vertices, body_directions)
+        build.write_arrays("body", body_mesh, _about(body_mesh))
         build.write_arrays("fields", field.to_arrays())
         build.write_picture("preview.png", two_sided_picture(zero_shape, tears.faces, template.get("colors")))
         build.summary(**_summary(unposed, tears, round_trip, field, len(world)))
@@ -177,8 +179,8 @@ def _body_arrays(body: BodyModel, vertices: np.ndarray, directions: np.ndarray) 
     }
 
 
-def _carried(template: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    return {name: template[name] for name in ("colors", "labels") if name in template}
+def _about(arrays: dict[str, np.ndarray]) -> dict[str, str]:
+    return {name: _ABOUT[name] for name in arrays}
 
 
 def _summary(

@@ -1,0 +1,230 @@
+"""Turn every layer mesh into front and back maps of texels on one shared grid; each texel will carry a Gaussian.
+
+Reads:
+    register-template   the template's frame and take
+    canonicalize        body.safetensors (the grid's centre)
+    segment-layers      <layer>.safetensors
+    capture             images, masks and label images of the template's frame, training cameras
+Writes:
+    <layer>.safetensors texels (N,3) i32 view 0 front / 1 back, row, column on the grid, in that order;
+                        window (4,) i32 row0, column0, height, width;
+                        positions (N,3) f32 m canonical zero-shape; normals (N,3) f32 unit, canonical;
+                        skin_weights (N,55) f32; shape_directions (N,10,3) f32 m per unit of shape, canonical;
+                        neighbours (N,4) i32 up right down left in the same view, −1 none or a depth jump;
+                        seams (S,2) i32 front and back texels that meet across the silhouette;
+                        spacing (N,) f32 m initial standard deviation of a Gaussian;
+                        colors (N,3) f32 sRGB 0..1; color_confidence (N,) f32, 0 where filled;
+                        labels (N,) u8
+    preview.png         colours and normals of all maps
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stages.bake_maps.config import BakeMapsConfig
+from stages.bake_maps.grid import Grid
+from stages.bake_maps.links import initial_sigma, neighbour_texels, seam_pairs, texel_numbers
+from stages.bake_maps.picture import maps_picture
+from stages.bake_maps.texels import Texels, cast_texels
+from stages.bake_maps.unseen import unseen_share
+from stages.pipeline import BAKE_MAPS, CANONICALIZE, REGISTER_TEMPLATE, SEGMENT_LAYERS
+from stages.shared.artifacts import Artifact, ExternalFiles, Workspace
+from stages.shared.body.model import BodyModel
+from stages.shared.capture import Capture, Take
+from stages.shared.capture.layer_colors import layer_colors
+from stages.shared.capture.subject import open_subject_capture
+from stages.shared.errors import BadData
+from stages.shared.meshes.raycast import RayScene
+from stages.shared.meshes.topology import vertex_normals
+from stages.shared.plan import Plan
+from stages.shared.report import SILENT, Report
+
+_ABOUT = {
+    "texels": "view, row, column on the grid (N,3)",
+    "window": "row0, column0, height, width (4,)",
+    "positions": "m canonical zero-shape (N,3)",
+    "normals": "unit canonical (N,3)",
+    "skin_weights": "rows sum to 1 (N,55)",
+    "shape_directions": "m per unit of shape, canonical (N,10,3)",
+    "neighbours": "texel up, right, down, left; -1 none (N,4)",
+    "seams": "front texel, back texel (S,2)",
+    "spacing": "m, initial standard deviation (N,)",
+    "colors": "sRGB 0..1 (N,3)",
+    "color_confidence": "cosine of the best view, 0 where filled (N,)",
+    "labels": "layer label ids (N,)",
+}
+Mesh = dict[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class BakeMapsResult:
+    """The artifact and the numbers to judge it by."""
+
+    artifact: Artifact
+    summary: dict[str, Any]
+
+
+def run(
+    subject: Path, config: BakeMapsConfig = BakeMapsConfig(), report: Report = SILENT, force: bool = False
+) -> BakeMapsResult:
+    """Bake the maps of every layer of a subject.
+
+    Raises:
+        MissingInput: an earlier stage has not run.
+        BadData: a layer reaches beyond the grid, or has no surface.
+    """
+    workspace = Workspace(subject)
+    registered = workspace.require(REGISTER_TEMPLATE)
+    canonical, segmented = workspace.require(CANONICALIZE), workspace.require(SEGMENT_LAYERS)
+    capture, take = template_take(workspace, registered) if config.project_colors else (None, None)
+    frame = int(segmented.summary["frame"])
+    inputs = {"canonicalize": canonical, "segment-layers": segmented, **_files(capture, take, frame)}
+    found = None if force else workspace.find(BAKE_MAPS, config, inputs)
+    if found:
+        report.say("bake-maps is up to date")
+        return BakeMapsResult(found, found.summary)
+    with workspace.build(BAKE_MAPS, config, inputs) as build:
+        meshes = {name: segmented.arrays(name) for name in segmented.summary["layers"]}
+        grid = Grid.around(canonical.arrays("body")["vertices"], config.pitch, config.extent_m)
+        everything = _world_scene(meshes)
+        baked, unseen = {}, {}
+        for name, mesh in meshes.items():
+            report.step(f"baking {name}")
+            texels = cast_texels(mesh["vertices"], mesh["faces"], grid, name)
+            if not len(texels.texels):
+                raise _empty(name)
+            maps = bake_layer(mesh, texels, grid, config)
+            add_texel_colors(maps, mesh, texels, everything, take, frame)
+            unseen[name] = unseen_share(mesh["vertices"], mesh["faces"])
+            build.write_arrays(name, maps, _ABOUT)
+            baked[name] = (texels, maps["colors"], maps["normals"])
+        build.write_picture("preview.png", maps_picture(list(baked.values())))
+        build.summary(**_summary(grid, {name: part[0] for name, part in baked.items()}, unseen))
+    summary = build.artifact.summary
+    for name, share in summary["unseen_area"].items():
+        if share > 0.01:
+            report.warn(f"{100 * share:.1f} % of the surface of {name} is hidden from both views")
+    return BakeMapsResult(build.artifact, summary)
+
+
+def plan(subject: Path, config: BakeMapsConfig = BakeMapsConfig()) -> Plan:
+    """What `run` would read, write and cost."""
+    workspace = Workspace(subject)
+    canonical, segmented = workspace.require(CANONICALIZE), workspace.require(SEGMENT_LAYERS)
+    texels = int(2.0 / config.pitch**2)  # two views of about one square metre each
+    return Plan(
+        inputs=[str(canonical.path), str(segmented.path)],
+        outputs=[str(workspace.root / BAKE_MAPS.name)],
+        config=asdict(config),
+        seconds=5.0 + texels * 1e-4,
+        memory_bytes=500_000_000 + texels * 4000,
+        disk_bytes=texels * 450,
+    )
+
+
+def template_take(workspace: Workspace, registered: Artifact) -> tuple[Capture | None, Take | None]:
+    """The capture of the subject and the take that the template was made from; None for a lone mesh."""
+    if not workspace.settings().get("capture"):
+        return None, None
+    capture = open_subject_capture(workspace, BodyModel.from_arrays(registered.arrays("body")))
+    return capture, capture.take(str(registered.summary["take"]))
+
+
+def bake_layer(mesh: Mesh, texels: Texels, grid: Grid, config: BakeMapsConfig) -> Mesh:
+    """Arrays of one layer's texels, colours interpolated from the mesh.
+
+    Arguments:
+        mesh: vertices, faces, skin_weights, shape_directions, colors, color_confidence, labels per vertex.
+    """
+    faces = mesh["faces"]
+    positions = texels.interpolate(faces, mesh["vertices"])
+    normals = texels.interpolate(faces, vertex_normals(mesh["vertices"], faces))
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+    weights = np.maximum(texels.interpolate(faces, mesh["skin_weights"]), 0.0)
+    numbers = texel_numbers(texels.texels, texels.window)
+    jump = max(config.depth_jump_m, 3.0 * grid.pitch)
+    neighbours = neighbour_texels(numbers, texels.texels, texels.window, positions[:, 2], jump)
+    corner = faces[texels.face, texels.barycentric.argmax(axis=1)]
+    return {
+        "texels": texels.texels,
+        "window": np.array(texels.window, dtype=np.int32),
+        "positions": positions.astype(np.float32),
+        "normals": normals.astype(np.float32),
+        "skin_weights": (weights / weights.sum(axis=1, keepdims=True)).astype(np.float32),
+        "shape_directions": texels.interpolate(faces, mesh["shape_directions"]).astype(np.float32),
+        "neighbours": neighbours,
+        "seams": seam_pairs(numbers, neighbours, positions, normals, config.seam_reach_m),
+        "spacing": initial_sigma(normals, grid.pitch, config.sigma_per_spacing, config.largest_stretch).astype(
+            np.float32
+        ),
+        "colors": (texels.interpolate(faces, mesh["colors"]) / 255).astype(np.float32),
+        "color_confidence": texels.interpolate(faces, mesh["color_confidence"]).astype(np.float32),
+        "labels": mesh["labels"][corner],
+    }
+
+
+def add_texel_colors(
+    maps: Mesh, mesh: Mesh, texels: Texels, scene: RayScene, take: Take | None, frame: int
+) -> None:
+    """Replace interpolated colours by the images' own at every texel, as far as the images see it."""
+    if take is None:
+        return
+    faces = mesh["faces"]
+    world = texels.interpolate(faces, mesh["world_vertices"])
+    normals = texels.interpolate(faces, vertex_normals(mesh["world_vertices"], faces))
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+    tucked = texels.interpolate(faces, mesh["ring"]) > 0
+    colors, confidence = layer_colors(world, normals, maps["labels"], scene, take, frame)
+    confidence = np.where(tucked, 0, confidence).astype(np.float32)
+    # Below this a texel is on a silhouette in every view: the smooth colour of the mesh is the better start.
+    share = np.clip(confidence / 0.1, 0, 1)[:, None]
+    maps["colors"] = (share * colors + (1 - share) * maps["colors"]).astype(np.float32)
+    maps["color_confidence"] = confidence
+
+
+def _files(capture: Capture | None, take: Take | None, frame: int) -> dict[str, ExternalFiles]:
+    """The files of the capture that the colours depend on."""
+    if capture is None or take is None:
+        return {}
+    views = [take.view(name, frame) for name in take.training_cameras if take.has_image(name, frame)]
+    groups = {
+        "capture/cameras": list(take.calibration_files),
+        "capture/images": [view.image for view in views],
+        "capture/masks": [view.mask for view in views],
+        "capture/labels": [view.labels for view in views if view.labels is not None],
+    }
+    return {name: ExternalFiles(name, capture.root, files) for name, files in groups.items() if files}
+
+
+def _world_scene(meshes: dict[str, Mesh]) -> RayScene:
+    """All layers together, in the world at the template's frame."""
+    counts = [len(mesh["world_vertices"]) for mesh in meshes.values()]
+    starts = np.cumsum([0, *counts[:-1]])
+    faces = [mesh["faces"] + start for mesh, start in zip(meshes.values(), starts, strict=True)]
+    return RayScene(np.concatenate([mesh["world_vertices"] for mesh in meshes.values()]), np.concatenate(faces))
+
+
+def _empty(layer: str) -> BadData:
+    return BadData(
+        f"No ray meets the layer {layer}: its mesh has no surface that the front or back view sees.",
+        f"layer {layer}",
+        "Look at preview.png of segment-layers; label the template again.",
+    )
+
+
+def _summary(grid: Grid, texels: dict[str, Texels], unseen: dict[str, float]) -> dict[str, Any]:
+    window = {name: part.window[2] * part.window[3] for name, part in texels.items()}
+    return {
+        "layers": list(texels),
+        "pitch": grid.pitch,
+        "centre": [float(value) for value in grid.centre],
+        "grid_size": grid.size,
+        "texels": {name: len(part.texels) for name, part in texels.items()},
+        "window_share": {name: area / grid.size**2 for name, area in window.items()},
+        "unseen_area": unseen,
+    }

@@ -1,0 +1,87 @@
+"""From votes of label images to one label per template vertex."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from stages.segment_layers.graph_cut import alpha_expansion
+from stages.segment_layers.regions import drop_absent, mesh_edges, remove_islands, vertex_areas
+from stages.shared.capture import NO_LABEL
+
+_FLOOR = 0.02  # share of a vote that every label keeps: a vertex can be outvoted by its neighbourhood
+_UNSEEN = 0.05  # how much the nearest seen vertex counts for one that no image sees
+
+
+def label_costs(vertices: np.ndarray, votes: np.ndarray) -> np.ndarray:
+    """(V, L) cost of each label: −log of its share of the votes, scaled by how well the vertex was seen.
+
+    Arguments:
+        vertices: (V, 3) metres. votes: (V, L) ≥ 0, sums of view weights.
+    """
+    total = votes.sum(axis=1)
+    seen = total > 1e-6
+    if not seen.any():
+        return np.zeros_like(votes, dtype=np.float64)
+    share = np.full(votes.shape, 1.0 / votes.shape[1])
+    share[seen] = votes[seen] / total[seen, None]
+    trust = np.minimum(total / np.median(total[seen]), 1.0)
+    if not seen.all():
+        _, nearest = cKDTree(vertices[seen]).query(vertices[~seen])
+        share[~seen] = share[seen][nearest]
+        trust[~seen] = _UNSEEN
+    floor = _FLOOR / votes.shape[1]
+    return -np.log((1.0 - _FLOOR) * share + floor) * trust[:, None]
+
+
+def edge_weights(vertices: np.ndarray, normals: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """(E,) how much a label border across each edge costs: 1 on flat ground, less in creases."""
+    agreement = np.einsum("ek,ek->e", normals[edges[:, 0]], normals[edges[:, 1]])
+    return 0.2 + 0.8 * np.clip(agreement, 0.0, 1.0) ** 4
+
+
+def label_vertices(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    normals: np.ndarray,
+    votes: np.ndarray,
+    garments: tuple[int, ...],
+    smoothness: float,
+    sweeps: int,
+    smallest_island: float,
+    smallest_share: float,
+) -> np.ndarray:
+    """Labels (V,) u8 of a template (V, 3) with faces (F, 3) from votes (V, L).
+
+    Graph cut, then patches smaller than `smallest_island` m² dissolve, then garments that cover less than
+    `smallest_share` of the area.
+    """
+    edges = mesh_edges(vertices, faces)
+    weights = smoothness * edge_weights(vertices, normals, edges)
+    labels = alpha_expansion(label_costs(vertices, votes), edges, weights, sweeps)
+    return tidy_labels(vertices, faces, labels, garments, smallest_island, smallest_share)
+
+
+def tidy_labels(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    labels: np.ndarray,
+    garments: tuple[int, ...],
+    smallest_island: float,
+    smallest_share: float,
+) -> np.ndarray:
+    """Labels (V,) u8 without islands and without garments that are hardly there."""
+    edges, areas = mesh_edges(vertices, faces), vertex_areas(vertices, faces)
+    labels = remove_islands(np.asarray(labels, dtype=np.int64), edges, areas, smallest_island)
+    return drop_absent(labels, edges, areas, garments, smallest_share).astype(np.uint8)
+
+
+def known_labels(vertices: np.ndarray, labels: np.ndarray) -> np.ndarray:
+    """Labels (V,) in which every vertex without one takes that of the nearest labelled vertex."""
+    missing = labels == NO_LABEL
+    if not missing.any():
+        return labels
+    _, nearest = cKDTree(vertices[~missing]).query(vertices[missing])
+    labels = labels.copy()
+    labels[missing] = labels[~missing][nearest]
+    return labels

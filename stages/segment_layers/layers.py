@@ -1,0 +1,132 @@
+"""The layer meshes: garments cut from the template, and the body with hair and shoes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+
+from stages.segment_layers.config import SegmentLayersConfig
+from stages.segment_layers.extract import LayerPart, extract_part, join, sink
+from stages.segment_layers.regions import face_labels
+from stages.shared.body.kinematics import posed_vertices
+from stages.shared.body.model import BodyModel
+from stages.shared.body.poses import Poses
+from stages.shared.capture import LABELS
+from stages.shared.meshes.topology import vertex_normals
+
+_LABEL_ID = {name: label for label, name in LABELS.items()}
+SKIN, HAIR, SHOE = (_LABEL_ID[name] for name in ("skin", "hair", "shoe"))
+GARMENT_LABELS = tuple(_LABEL_ID[name] for name in ("lower", "upper", "outer"))  # inner to outer
+_OUTERMOST = (*reversed(GARMENT_LABELS), HAIR, SHOE, SKIN)
+_SCAN_REACH = 0.02  # metres: body vertices take the colour of scan skin that is this near
+
+
+@dataclass(frozen=True)
+class Template:
+    """The template in the world and in canonical space, with the same vertices.
+
+    Attributes:
+        world: (V, 3) float64 metres. faces: (F, 3), those that canonicalize kept. normals: (V, 3) world.
+        canonical: vertices, skin_weights, shape_directions of the zero shape.
+        canonical_normals: (V, 3). colors: (V, 3) u8 or None. labels: (V,) u8 or None.
+    """
+
+    world: np.ndarray
+    faces: np.ndarray
+    normals: np.ndarray
+    canonical: dict[str, np.ndarray]
+    canonical_normals: np.ndarray
+    colors: np.ndarray | None
+    labels: np.ndarray | None
+
+    @classmethod
+    def load(cls, registered: dict[str, np.ndarray], canonical: dict[str, np.ndarray]) -> Template:
+        """From the arrays of the two earlier stages."""
+        world, faces = registered["vertices"].astype(np.float64), canonical["faces"]
+        return cls(
+            world,
+            faces,
+            vertex_normals(world, registered["faces"]).astype(np.float64),
+            {name: canonical[name] for name in ("vertices", "skin_weights", "shape_directions")},
+            vertex_normals(canonical["vertices"], faces).astype(np.float64),
+            registered.get("colors"),
+            registered.get("labels"),
+        )
+
+
+def garment_layer(
+    template: Template, labels: np.ndarray, label: int, config: SegmentLayersConfig
+) -> dict[str, np.ndarray]:
+    """Mesh of one garment, its border tucked under the other garments beside it; empty when it is not there."""
+    by_face = face_labels(labels, template.faces, _OUTERMOST)
+    under = np.isin(by_face, [other for other in GARMENT_LABELS if other != label])
+    part = extract_part(template.faces, by_face == label, under, config.extended_rings, len(labels))
+    return _part_mesh(template, part, label, config.ring_depth_m)
+
+
+def body_layer(
+    template: Template,
+    labels: np.ndarray,
+    canonical_body: dict[str, np.ndarray],
+    body: BodyModel,
+    pose: Poses,
+) -> dict[str, np.ndarray]:
+    """The body model's own mesh, whole under the garments, and the hair and shoes of the template."""
+    by_face = face_labels(labels, template.faces, _OUTERMOST)
+    nothing = np.zeros(len(by_face), dtype=bool)
+    parts = [_body_mesh(template, labels, canonical_body, body, pose)]
+    for label in (HAIR, SHOE):
+        part = extract_part(template.faces, by_face == label, nothing, 0, len(labels))
+        if len(part.faces):
+            parts.append(_part_mesh(template, part, label, 0.0))
+    return join(parts)
+
+
+def _body_mesh(
+    template: Template,
+    labels: np.ndarray,
+    canonical_body: dict[str, np.ndarray],
+    body: BodyModel,
+    pose: Poses,
+) -> dict[str, np.ndarray]:
+    double = [
+        torch.as_tensor(values, dtype=torch.float64)
+        for values in (pose.rotations[0], pose.translation[0], pose.betas, pose.expression[0])
+    ]
+    world = posed_vertices(body, *double).numpy()
+    colors, seen = np.zeros((len(world), 3), np.uint8), np.zeros(len(world), np.uint8)
+    skin = np.flatnonzero(labels == SKIN)
+    if template.colors is not None and len(skin):
+        distance, nearest = cKDTree(template.world[skin]).query(world)
+        colors = template.colors[skin][nearest]
+        seen = (distance < _SCAN_REACH).astype(np.uint8)
+    return {
+        **{name: canonical_body[name] for name in ("vertices", "faces", "skin_weights", "shape_directions")},
+        "world_vertices": world.astype(np.float32),
+        "labels": np.full(len(world), SKIN, np.uint8),
+        "ring": np.zeros(len(world), np.int32),
+        "scan_colors": colors,
+        "scan_seen": seen,
+    }
+
+
+def _part_mesh(template: Template, part: LayerPart, label: int, depth: float) -> dict[str, np.ndarray]:
+    numbers = part.vertex_numbers
+    canonical = {name: values[numbers] for name, values in template.canonical.items()}
+    canonical["vertices"] = sink(
+        canonical["vertices"].astype(np.float64), template.canonical_normals[numbers], part.ring, depth
+    ).astype(np.float32)
+    world = sink(template.world[numbers], template.normals[numbers], part.ring, depth)
+    colors = template.colors[numbers] if template.colors is not None else np.zeros((len(numbers), 3), np.uint8)
+    return {
+        **canonical,
+        "faces": part.faces.astype(np.int32),
+        "world_vertices": world.astype(np.float32),
+        "labels": np.full(len(numbers), label, np.uint8),
+        "ring": part.ring.astype(np.int32),
+        "scan_colors": colors,
+        "scan_seen": np.full(len(numbers), template.colors is not None, np.uint8),
+    }

@@ -1,0 +1,131 @@
+"""A tiny subject for training tests: two tubes (a body and a shirt), three cameras, four poses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from stages.pipeline import BAKE_MAPS, REGISTER_TEMPLATE
+from stages.shared.artifacts import Workspace
+from stages.shared.avatar.compose import compose
+from stages.shared.avatar.config import ModelConfig
+from stages.shared.avatar.deform import pose_layer
+from stages.shared.avatar.maps import LayerMaps
+from stages.shared.avatar.model import LayerModel
+from stages.shared.avatar.pose import frame_pose
+from stages.shared.body import BodyModel, Poses, embedded_body
+from stages.shared.capture import Camera, native_writer
+from stages.train.config import PRESETS, LearningRates, TrainConfig
+from stages.train.objective import render
+from tests.shared.avatar.tubes import CENTRE, GRID, PITCH, tube_arrays
+
+SIZE = 40
+FRAMES = 4
+LABEL_OF_LAYER = (0, 3)  # body skin, upper
+TINY = replace(
+    PRESETS["tiny"],
+    steps=12,
+    frame_step=1,
+    image_scale=1.0,
+    coarse_until=0.0,
+    rates=LearningRates(offset=1e-3, color=0.1),
+    model=ModelConfig(width=0.0625, depth=2, style=8, factor=4),
+)
+
+
+def tiny(**changes: object) -> TrainConfig:
+    """The tests' configuration with some fields replaced."""
+    return replace(TINY, **changes)  # type: ignore[arg-type]
+
+
+def layers() -> dict[str, dict[str, np.ndarray]]:
+    """Baked arrays of the two layers."""
+    return {
+        "body": tube_arrays(radius=0.12),
+        "upper": tube_arrays(radius=0.15, low=-0.1, high=0.2, color=(0.2, 0.5, 0.9)),
+    }
+
+
+def poses() -> Poses:
+    """Four frames of bending sideways."""
+    rotations = np.zeros((FRAMES, 55, 3), np.float32)
+    rotations[:, 3, 2] = np.linspace(-0.4, 0.4, FRAMES)
+    return Poses(rotations, np.zeros((FRAMES, 3)), np.zeros(10), np.zeros((FRAMES, 10)))  # type: ignore[arg-type]
+
+
+def cameras() -> list[Camera]:
+    """Three cameras around the tubes; the third is held out."""
+    found = []
+    for index, angle in enumerate((0.0, 2.1, 1.0)):
+        back = np.array([np.sin(angle), 0.0, np.cos(angle)])
+        rotation = np.stack([[np.cos(angle), 0, -np.sin(angle)], [0, -1, 0], -back])
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = rotation, -rotation @ (2.0 * back)
+        intrinsics = np.array([[100.0, 0, SIZE / 2], [0, 100, SIZE / 2], [0, 0, 1]])
+        found.append(Camera(f"cam{index}", SIZE, SIZE, intrinsics, matrix))
+    return found
+
+
+def make_subject(folder: Path) -> Path:
+    """Capture with rendered images and a workspace with finished earlier stages; returns the workspace."""
+    body, motion = embedded_body(), poses()
+    arrays = layers()
+    truth = {
+        name: LayerModel(LayerMaps.from_arrays(name, values, PITCH, CENTRE, GRID), TINY.model)
+        for name, values in arrays.items()
+    }
+    with torch.no_grad():
+        for model in truth.values():
+            model.base_color.copy_(-0.7 * model.base_color.flip(1))
+            model.base_offset += 0.006 * model.maps.normals
+    capture = folder / "capture"
+    with native_writer(capture, cameras(), heldout=["cam2"]) as writer:
+        take = writer.take("moves", "train", motion)
+        for frame in range(FRAMES):
+            for camera in cameras():
+                image, mask, labels = _picture(truth, body, motion, frame, camera)
+                take.view(camera.name, frame, image, mask, labels, jpeg=False)
+    return _workspace(folder / "subject", capture, body, motion, arrays)
+
+
+def _picture(
+    truth: dict[str, LayerModel], body: BodyModel, motion: Poses, frame: int, camera: Camera
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    color, labels, alpha = look(truth, body, motion, frame, camera)
+    mask = (alpha > 0.5).numpy()
+    ids = np.array(LABEL_OF_LAYER, np.uint8)[labels.argmax(dim=2).numpy()]
+    image = np.clip(color.numpy() * 255, 0, 255).round().astype(np.uint8)
+    return image, mask.astype(np.uint8) * 255, np.where(mask, ids, 255).astype(np.uint8)
+
+
+def look(
+    models: dict[str, LayerModel], body: BodyModel, motion: Poses, frame: int, camera: Camera
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Colour on black, labels and alpha of all layers in one frame."""
+    one = motion[frame]
+    pose = frame_pose(body, *(torch.from_numpy(a) for a in (one.rotations[0], one.translation[0], one.betas)))
+    with torch.no_grad():
+        posed = {
+            name: pose_layer(m.maps, m(pose.local_transforms), pose.transforms, pose.betas)
+            for name, m in models.items()
+        }
+        return render(compose(posed), camera)
+
+
+def _workspace(
+    root: Path, capture: Path, body: BodyModel, motion: Poses, arrays: dict[str, dict[str, np.ndarray]]
+) -> Path:
+    workspace = Workspace(root)
+    workspace.save_settings(capture=capture, capture_format="native")
+    with workspace.build(REGISTER_TEMPLATE, {}, {}) as registered:
+        registered.write_bytes("smpl_params.npz", motion.to_npz_bytes())
+        registered.write_arrays("body", body.to_arrays())
+        registered.summary(take="moves", frame=0)
+    with workspace.build(BAKE_MAPS, {}, {"register-template": registered.artifact}) as baked:
+        for name, values in arrays.items():
+            baked.write_arrays(name, values)
+        baked.summary(layers=list(arrays), pitch=PITCH, centre=list(CENTRE), grid_size=GRID)
+    return root

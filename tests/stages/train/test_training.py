@@ -1,0 +1,172 @@
+"""Training a tiny subject: it learns, resumes to the bit, survives NaN and Ctrl-C."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from stages.pipeline import BAKE_MAPS, TRAIN
+from stages.shared.artifacts import Workspace
+from stages.shared.avatar.maps import LayerMaps
+from stages.shared.avatar.model import LayerModel
+from stages.shared.errors import BadData, MissingInput, UsageProblem
+from stages.train import loop, stage, trainer
+from tests.stages.train.scene import make_subject, tiny
+
+
+@pytest.fixture(scope="module")
+def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_subject(tmp_path_factory.mktemp("tiny")).parent
+
+
+@pytest.fixture
+def subject(prepared: Path, tmp_path: Path) -> Path:
+    shutil.copytree(prepared, tmp_path / "copy")
+    return tmp_path / "copy" / "subject"
+
+
+def _weights(result: stage.TrainResult) -> dict[str, np.ndarray]:
+    return {
+        f"{layer}.{name}": values
+        for layer in ("body", "upper")
+        for name, values in result.artifact.arrays(layer).items()
+    }
+
+
+def test_learning_lowers_the_loss_and_writes_a_whole_artifact(subject: Path) -> None:
+    result = stage.run(subject, tiny(steps=60))
+    lines = [json.loads(line) for line in result.artifact.bytes("metrics.jsonl").splitlines()]
+    assert lines[-1]["losses"]["l1"] < 0.5 * lines[0]["losses"]["l1"]
+    assert {"data", "network", "splat", "surface", "optimiser"} <= lines[-1]["seconds"].keys()
+    assert lines[-1]["gradient_norm"] > 0
+    assert {
+        "l1",
+        "ssim",
+        "label",
+        "silhouette",
+        "penetration",
+        "offset",
+        "smooth",
+        "seam",
+        "opacity",
+    } <= lines[-1]["losses"].keys()
+    pictures = [name for name in result.artifact.files if name.startswith("previews/")]
+    assert pictures and result.artifact.bytes(pictures[0])[:4] == b"\x89PNG"
+    settings = result.artifact.json("model.json")["layers"]
+    baked = Workspace(subject).require(BAKE_MAPS)
+    for name in ("body", "upper"):
+        tensors = {key: torch.from_numpy(value) for key, value in result.artifact.arrays(name).items()}
+        LayerModel.from_state(settings[name], LayerMaps.load(baked, name), tensors)
+    assert stage.run(subject, tiny(steps=60)).artifact.path == result.artifact.path, (
+        "up to date: not done again"
+    )
+
+
+def test_interrupted_run_resumes_to_the_bit(
+    prepared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole, split = tmp_path / "whole", tmp_path / "split"
+    shutil.copytree(prepared, whole)
+    shutil.copytree(prepared, split)
+    straight = _weights(stage.run(whole / "subject", tiny(steps=12)))
+    step = trainer.Trainer.step
+
+    def interrupted(self: trainer.Trainer, number: int, elapsed: float) -> trainer.StepReport:
+        if number == 5:
+            os.kill(os.getpid(), signal.SIGINT)
+        return step(self, number, elapsed)
+
+    monkeypatch.setattr(trainer.Trainer, "step", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        stage.run(split / "subject", tiny(steps=12))
+    monkeypatch.undo()
+    assert Workspace(split / "subject").current(TRAIN) is None
+    resumed = stage.run(split / "subject", tiny(steps=12))
+    for name, values in _weights(resumed).items():
+        assert np.array_equal(values, straight[name]), name
+    lines = [json.loads(line) for line in resumed.artifact.bytes("metrics.jsonl").splitlines()]
+    assert [line["step"] for line in lines] == sorted({line["step"] for line in lines})
+
+
+def test_nan_is_found_in_its_step_and_skipped(subject: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    _spoil(monkeypatch, {3, 7})
+    heard = _Heard()
+    result = stage.run(subject, tiny(steps=12), heard)
+    assert result.summary["skipped"] == 2
+    assert [text.split()[1] for text in heard.warnings] == ["3", "7"]
+    assert all(np.isfinite(values).all() for values in _weights(result).values())
+
+
+def test_three_nan_in_a_row_stop_with_a_folder_to_repeat_from(
+    subject: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _spoil(monkeypatch, {4, 5, 6})
+    with pytest.raises(BadData) as caught:
+        stage.run(subject, tiny(steps=12))
+    assert caught.value.exit_code == 65
+    facts = json.loads((Path(caught.value.where) / "step.json").read_text())
+    assert facts["step"] == 6 and facts["cameras"]
+    assert (Path(caught.value.where) / "weights.safetensors").is_file()
+    assert Workspace(subject).current(TRAIN) is None
+
+
+def test_missing_stages_and_devices_are_said(tmp_path: Path, subject: Path) -> None:
+    with pytest.raises(MissingInput):
+        stage.run(tmp_path / "nowhere", tiny())
+    with pytest.raises(UsageProblem):
+        stage.run(subject, tiny(device="abacus"))
+
+
+def test_minutes_end_a_run_before_its_steps(subject: Path) -> None:
+    result = stage.run(subject, tiny(steps=10_000, minutes=0.02))
+    assert 0 < result.summary["steps"] < 10_000
+
+
+def test_dry_run_writes_nothing_and_estimates(subject: Path) -> None:
+    before = sorted(path.name for path in subject.rglob("*"))
+    planned = stage.plan(subject, tiny())
+    assert planned.seconds and planned.memory_bytes and planned.disk_bytes
+    assert sorted(path.name for path in subject.rglob("*")) == before
+
+
+class _Heard:
+    """A report that remembers warnings."""
+
+    def __init__(self) -> None:
+        self.warnings: list[str] = []
+
+    def step(self, text: str) -> None: ...
+
+    def progress(self, done: int, total: int, **numbers: float) -> None: ...
+
+    def say(self, text: str) -> None: ...
+
+    def warn(self, text: str) -> None:
+        self.warnings.append(text)
+
+
+def _spoil(monkeypatch: pytest.MonkeyPatch, steps: set[int]) -> None:
+    """Make the picture losses of some steps NaN, each time the step is tried."""
+    genuine, current = trainer.picture_terms, {"step": -1}
+    step = trainer.Trainer.step
+
+    def numbered(self: trainer.Trainer, number: int, elapsed: float) -> trainer.StepReport:
+        current["step"] = number
+        return step(self, number, elapsed)
+
+    def spoilt(*arguments: object) -> dict[str, torch.Tensor]:
+        terms = genuine(*arguments)  # type: ignore[arg-type]
+        if current["step"] in steps:
+            terms["l1"] = terms["l1"] * float("nan")
+        return terms
+
+    monkeypatch.setattr(trainer.Trainer, "step", numbered)
+    monkeypatch.setattr(trainer, "picture_terms", spoilt)
+    assert loop.Trainer is trainer.Trainer

@@ -1,7 +1,7 @@
-"""Reader for the ActorsHQ layout: `SequenceN/{1x,2x,4x}/{calibration.csv, rgbs, masks}` with `smpl_params.npz`.
+"""Reader for the ActorsHQ layout: `SequenceN/{1x,2x,4x}/{calibration.csv, rgbs, masks, smpl_params.npz}`.
 
-`calibration.csv` holds camera-to-world axis-angle and position, and focal length and principal point divided by
-the image size. Labels (`labels/CamNNN/label-fFFFFFF.png`), the entries `split`, `fps`, `train_cameras` and
+`calibration.csv` holds camera-to-world axis-angle and position; focal length and principal point are divided
+by the image size. Labels (`labels/CamNNN/label-fFFFFFF.png`), the entries `split`, `fps`, `train_cameras` and
 `heldout_cameras` of `scene.json`, and scans (`gt/scan-fFFFFFF.ply` or beside) are additions, all optional.
 """
 

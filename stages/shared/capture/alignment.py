@@ -1,7 +1,7 @@
 """Do calibration, poses and masks belong together? The posed body, projected, must lie inside the masks.
 
-A body model is thinner than the dressed person, so nearly all of its silhouette is inside the mask when the cameras
-are right, and nearly none of it when an axis is turned round.
+A body model is thinner than the dressed person, so nearly all of its silhouette is inside the mask when the
+cameras are right, and nearly none of it when an axis is turned round.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def overlay_picture(
     faces: NDArray[np.integer],
     inside: Mapping[str, float],
 ) -> NDArray[np.uint8]:
-    """A sheet (H, W, 3) u8 sRGB of all training views: image, outline of the body in magenta, of the mask in green."""
+    """A sheet (H, W, 3) u8 sRGB of all training views: outlines of body (magenta) and mask (green)."""
     scene = RayScene(vertices, faces)
     tiles = []
     for name in take.training_cameras:
@@ -102,9 +102,10 @@ def overlay_picture(
         camera = take.camera(name)
         factor = _LONG_SIDE / max(camera.width, camera.height)
         small = camera.scaled(factor)
-        image = cv2.resize(take.image(name, frame), (small.width, small.height), interpolation=cv2.INTER_AREA)
+        size = (small.width, small.height)
+        image = np.array(cv2.resize(take.image(name, frame), size, interpolation=cv2.INTER_AREA), np.uint8)
         tile = np.zeros((_LONG_SIDE, _LONG_SIDE, 3), np.uint8)
-        mask = cv2.resize(take.mask(name, frame), (small.width, small.height), interpolation=cv2.INTER_AREA)
+        mask = cv2.resize(take.mask(name, frame), size, interpolation=cv2.INTER_AREA)
         _draw_outline(image, mask > MASK_THRESHOLD, (60, 220, 60))
         _draw_outline(image, scene.render(small).hit, (255, 0, 200))
         tile[: small.height, : small.width] = image
@@ -176,21 +177,20 @@ def _refusal(take: Take, best: Alignment, bar: float) -> BadData:
     covered = float(np.mean(list(best.covered.values())))
     if best.mean_inside >= bar and best.inside[worst] < CAMERA_BAR:
         return BadData(
-            f"Camera {worst} sees only {100 * best.inside[worst]:.0f} % of the projected body inside its mask; "
+            f"Camera {worst} has {100 * best.inside[worst]:.0f} % of the projected body in its mask; "
             f"the others fit.",
             where,
             f"Mend the calibration or the masks of {worst}, or leave this camera out.",
         )
     if best.mean_inside >= bar:
         return BadData(
-            f"The projected body covers only {100 * covered:.1f} % of the masks: its scale or place is wrong.",
+            f"The projected body covers only {100 * covered:.1f} % of the masks: wrong scale or place.",
             where,
             "Check the units of calibration and poses: both must be metres.",
         )
     return BadData(
-        f"The projected body lies only {100 * best.mean_inside:.0f} % inside the masks, at least {100 * bar:.0f} % is "
-        "needed: calibration, poses and masks do not belong together.",
+        f"Only {100 * best.mean_inside:.0f} % of the projected body is inside the masks (bar {100 * bar:.0f} %): "
+        "calibration, poses and masks do not belong together.",
         where,
-        "Check calibration, units (metres), the body model (--body-model) and that poses and images have the same "
-        "frame numbers.",
+        "Check calibration, units (metres), body model (--body-model) and frame numbers of poses and images.",
     )

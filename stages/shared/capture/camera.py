@@ -71,7 +71,7 @@ class Camera:
         return np.where(depth[..., None] > 0, pixels, np.nan), depth
 
     def rays(self) -> tuple[Matrix, Matrix]:
-        """Origin (3,) and directions (H, W, 3), world, through the pixel centres; one length is 1 m of depth."""
+        """Origin (3,) and directions (H, W, 3) through the pixel centres, world; 1 m of depth per length."""
         columns, rows = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)
         pixels = np.stack([columns, rows, np.ones_like(columns)], axis=-1)
         in_camera = pixels @ np.linalg.inv(self.intrinsics).T

@@ -1,4 +1,4 @@
-"""The ways people write down a camera's place, and how to get from each to `camera_from_world` in OpenCV axes."""
+"""The ways people write down a camera's place, and the way from each to `camera_from_world` (OpenCV axes)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ CONVENTIONS: Final[dict[str, Callable[[Matrix], Matrix]]] = {
     AS_IS: lambda matrix: matrix,
     "rows 0 and 1 negated": lambda matrix: _TURN_Z @ matrix,
     "rows 1 and 2 negated": lambda matrix: _TURN_X @ matrix,
-    "inverted": np.linalg.inv,
+    "inverted": lambda matrix: np.linalg.inv(matrix),
     "inverted, rows 0 and 1 negated": lambda matrix: _TURN_Z @ np.linalg.inv(matrix),
     "inverted, rows 1 and 2 negated": lambda matrix: _TURN_X @ np.linalg.inv(matrix),
 }

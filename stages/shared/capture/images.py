@@ -68,11 +68,10 @@ def decode(
         raise damaged(path, f"it cannot be decoded ({error.err})") from error
     if image is None or image.shape[:2] != (height, width):
         raise damaged(path, "it cannot be decoded")
-    if image.dtype == np.uint16:
-        image = np.right_shift(image, 8).astype(np.uint8)
-    if image.ndim == 3 and image.shape[2] == 1:
-        image = image[..., 0]
-    return image
+    pixels = np.right_shift(image, 8) if image.dtype == np.uint16 else image
+    if pixels.ndim == 3 and pixels.shape[2] == 1:
+        pixels = pixels[..., 0]
+    return pixels.astype(np.uint8, copy=False)
 
 
 def check_size(image: Image, width: int, height: int, path: Path) -> Image:

@@ -9,6 +9,8 @@ from typing import Final
 from stages.shared.body.load import load_body
 from stages.shared.body.model import BodyModel
 from stages.shared.capture.actorshq import open_actorshq, sequence_folders
+from stages.shared.capture.animatable_gaussians import AVATARREX, THUMAN4
+from stages.shared.capture.four_d_dress import open_4d_dress, take_folders
 from stages.shared.capture.native import is_native, open_native
 from stages.shared.capture.take import Capture
 from stages.shared.errors import MissingInput, UsageProblem
@@ -19,6 +21,9 @@ Reader = Callable[[Path, BodyModel | None, Path | None], Capture]
 _LAYOUTS: Final[dict[str, tuple[str, Callable[[Path], bool], Reader]]] = {
     "native": ("capture.json", is_native, open_native),
     "actorshq": ("SequenceN/1x/calibration.csv", lambda root: bool(sequence_folders(root)), open_actorshq),
+    "4d-dress": ("TakeN/Capture/cameras.pkl", lambda root: bool(take_folders(root)), open_4d_dress),
+    "thuman4": (THUMAN4.calibration, THUMAN4.fits, THUMAN4.open),
+    "avatarrex": (AVATARREX.calibration, AVATARREX.fits, AVATARREX.open),
 }
 FORMATS: Final = tuple(_LAYOUTS)
 BODY_MODEL_FILES: Final = ("body_model.npz", "body_model.safetensors")

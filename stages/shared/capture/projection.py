@@ -78,8 +78,8 @@ def project_colors(
 ) -> tuple[Floats, Floats]:
     """Colours of surface points from the images of one frame.
 
-    Every point takes the views that see it best (weight: cosine x pixel density, to a high power, so that patterns stay
-    sharp where views disagree by a pixel, and no seam shows where the best view changes).
+    Every point takes the views that see it best (weight: cosine x pixel density, to a high power, so that
+    patterns stay sharp where views disagree by a pixel, and no seam shows where the best view changes).
 
     Arguments:
         points: (N, 3) world, metres. normals: (N, 3) unit.
@@ -88,8 +88,8 @@ def project_colors(
         cameras: names; the training cameras by default.
 
     Returns:
-        Colours (N, 3) f32 sRGB in [0, 1], 0 where no camera sees the point; and confidence (N,) f32, the cosine of
-        the best view, near 0 on silhouettes and 0 where unseen.
+        Colours (N, 3) f32 sRGB in [0, 1], 0 where no camera sees the point; and confidence (N,) f32, the
+        cosine of the best view, near 0 on silhouettes and 0 where unseen.
     """
     points, normals = np.asarray(points, np.float64), np.asarray(normals, np.float64)
     names = _views(take, frame, cameras)
@@ -120,9 +120,9 @@ def project_labels(
 ) -> Floats:
     """Votes (N, 6) f32 for the ids 0 to 5 of surface points, from the label images of one frame.
 
-    Each camera that sees a point votes with the four pixels around it, weighted by the cosine of its view; pixels
-    without a label do not vote. A row of zeros: no camera sees the point.
-    Arguments as in `project_colors`.
+    Each camera that sees a point votes with the four pixels around it, weighted by the cosine of its view;
+    pixels without a label do not vote. A row of zeros: no camera sees the point. Arguments as in
+    `project_colors`.
 
     Raises:
         MissingInput: no camera has a label image of this frame.
@@ -149,8 +149,8 @@ def project_labels(
     return votes
 
 
-def sample_bilinear(image: NDArray[np.generic], pixels: NDArray[np.float64]) -> Floats:
-    """Values (N, C) f32 of an image (H, W, C) at pixels (N, 2) x, y; pixel centres at integer + 0.5, edges repeated."""
+def sample_bilinear(image: NDArray[np.uint8] | Floats, pixels: NDArray[np.float64]) -> Floats:
+    """Values (N, C) f32 of an image (H, W, C) at pixels (N, 2) x, y; pixel centres at integer + 0.5."""
     result = np.zeros((len(pixels), image.shape[2]), np.float32)
     for rows, columns, share in _four_pixels(pixels, image.shape[1], image.shape[0]):
         result += share[:, None] * image[rows, columns]

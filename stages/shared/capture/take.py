@@ -15,6 +15,8 @@ from stages.shared.capture.camera import Box, Camera
 from stages.shared.capture.images import check_size, read_image, read_mask
 from stages.shared.capture.labels import read_labels
 from stages.shared.errors import BadData, MissingInput, UsageProblem
+from stages.shared.meshes.load import load_mesh
+from stages.shared.meshes.mesh import Mesh
 
 Split = Literal["train", "test"]
 GROUPS: Final = ("cameras", "poses", "images", "masks", "labels", "scan", "body")
@@ -113,6 +115,20 @@ class Take:
         if path is None:
             return None
         return check_size(read_labels(path), seen_by.width, seen_by.height, path)
+
+    def read_scan(self) -> Mesh | None:
+        """The mesh of the dressed person at `scan_frame`, with the colours and labels it has; None without one.
+
+        Raises:
+            BadData: as `load_mesh`.
+        """
+        if self.scan is None:
+            return None
+        if self.scan.suffix == ".pkl":
+            from stages.shared.capture.four_d_dress import read_scan  # that reader makes takes
+
+            return read_scan(self.scan)
+        return load_mesh(self.scan)
 
     def subject_box(self, camera: str | Camera, frame: int, margin: int = 8) -> Box:
         """Smallest box (left, top, right, bottom) around the mask, `margin` pixels wider, inside the image.

@@ -1,0 +1,246 @@
+"""Reader for the 4D-DRESS layout: `<subject>/<Inner|Outer>/TakeN/{Capture, SMPLX, Meshes_pkl, Semantic}`.
+
+Frames keep their five-digit names in `frame_names` and are numbered from 0 in the order of the fits. Every
+number in this data set is in a pickle; all of them go through the quarantined child process.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any, Final, cast
+
+import numpy as np
+
+from stages.shared.body.model import BodyModel
+from stages.shared.body.npz import NumericNpz
+from stages.shared.body.poses import Poses, read_smpl_params
+from stages.shared.capture.camera import Camera, checked_camera
+from stages.shared.capture.gather import make_take, numbered_files, view_files
+from stages.shared.capture.images import read_bytes
+from stages.shared.capture.labels import LABELS
+from stages.shared.capture.pickles import PickleReader
+from stages.shared.capture.png import check_picture
+from stages.shared.capture.take import Capture, Split, Take
+from stages.shared.errors import BadData, MissingInput, UsageProblem
+from stages.shared.meshes.mesh import Mesh, check_mesh
+
+FORMAT: Final = "4d-dress"
+FPS: Final = 30.0
+_HAND_COEFFICIENTS: Final = 12
+_OPTIONAL = ("jaw_pose", "leye_pose", "reye_pose", "left_hand_pose", "right_hand_pose", "expression")
+# Test takes of the outfits that published avatars were judged on; elsewhere the last take is for testing.
+_TEST_TAKES: Final[dict[tuple[str, str], tuple[int, ...]]] = {
+    ("00185", "Inner"): (7, 8), ("00185", "Outer"): (18, 19, 20), ("00127", "Inner"): (9, 10),
+    ("00127", "Outer"): (18, 19), ("00134", "Inner"): (9, 10), ("00134", "Outer"): (20, 22),
+    ("00148", "Inner"): (9, 10), ("00156", "Inner"): (8, 9), ("00156", "Outer"): (19, 20),
+    ("00151", "Inner"): (9,), ("00129", "Inner"): (21, 22), ("00170", "Inner"): (11, 12),
+    ("00140", "Inner"): (10, 11), ("00163", "Inner"): (9, 10), ("00163", "Outer"): (18, 19),
+    ("00187", "Inner"): (8, 9), ("00160", "Inner"): (9, 10), ("00188", "Inner"): (8, 9),
+}  # fmt: skip
+
+
+def take_folders(root: Path) -> list[Path]:
+    """The take at `root`, or the takes below an outfit's or a subject's folder; empty for other layouts.
+
+    Raises:
+        UsageProblem: a subject's folder with two outfits.
+    """
+    if (root / "Capture" / "cameras.pkl").is_file():
+        return [root]
+    found = [folder for folder in root.glob("Take*") if (folder / "Capture" / "cameras.pkl").is_file()]
+    if not found:
+        outfits = [root / name for name in ("Inner", "Outer") if take_folders_of_outfit(root / name)]
+        if len(outfits) > 1:
+            raise UsageProblem(
+                "This person has two outfits.", str(root), f"Give one: {outfits[0]} or {outfits[1]}."
+            )
+        found = take_folders_of_outfit(outfits[0]) if outfits else []
+    return sorted(found, key=_take_number)
+
+
+def take_folders_of_outfit(outfit: Path) -> list[Path]:
+    """Folders `TakeN` with cameras below `Inner` or `Outer`."""
+    return [folder for folder in outfit.glob("Take*") if (folder / "Capture" / "cameras.pkl").is_file()]
+
+
+def open_4d_dress(root: Path, body: BodyModel | None, body_model_path: Path | None) -> Capture:
+    """All takes of one outfit, or the take at `root`."""
+    folders = take_folders(root)
+    if not folders:
+        raise MissingInput(
+            "There is no 4D-DRESS take here.",
+            f"{root}: no Take*/Capture/cameras.pkl",
+            "Give the folder Inner or Outer.",
+        )
+    with PickleReader() as pickles:
+        takes = tuple(_read_take(folder, _split(folder, folders), pickles, body) for folder in folders)
+    return Capture(root, FORMAT, takes, body_model_path)
+
+
+def read_scan(path: Path) -> Mesh:
+    """The scan of a frame, `Meshes_pkl/mesh-f*.pkl`, with its labels when `Semantic/labels` has them.
+
+    Raises:
+        MissingInput, BadData: as `PickleReader.read` and `check_mesh`; labels that do not fit the mesh.
+    """
+    with PickleReader() as pickles:
+        content = _dictionary(pickles.read(path), path)
+        label_path = path.parent.parent / "Semantic" / "labels" / path.name.replace("mesh-", "label-")
+        labels = None
+        if label_path.is_file():
+            labels = _dictionary(pickles.read(label_path), label_path).get("scan_labels")
+    vertices, faces = (_array(content, name, path) for name in ("vertices", "faces"))
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
+        raise BadData("vertices or faces do not have three columns.", str(path), "Get the file again.")
+    if faces.size and (faces.dtype.kind not in "iu" or int(faces.max()) >= 2**31 or int(faces.min()) < 0):
+        raise BadData("faces are not vertex numbers.", str(path), "Get the file again.")
+    colors = content.get("colors")
+    fitting = isinstance(colors, np.ndarray) and colors.ndim == 2 and len(colors) == len(vertices)
+    if labels is not None:
+        labels = np.asarray(labels).reshape(-1)
+        unknown = sorted(set(np.unique(labels).tolist()) - set(LABELS))
+        if len(labels) != len(vertices) or unknown:
+            raise BadData(
+                f"The labels do not fit: {len(labels)} for {len(vertices)} vertices, unknown {unknown[:5]}.",
+                str(label_path),
+                "Get the file again.",
+            )
+    mesh = Mesh(
+        vertices,
+        faces,
+        np.clip(np.asarray(colors)[:, :3], 0, 255).astype(np.uint8) if fitting else None,
+        None if labels is None else labels.astype(np.uint8),
+    )
+    return check_mesh(mesh, str(path))
+
+
+def _read_take(folder: Path, split: Split, pickles: PickleReader, body: BodyModel | None) -> Take:
+    fits = numbered_files(folder / "SMPLX", re.compile(r"mesh-f(\d+)_smplx\.pkl"))
+    if not fits:
+        raise MissingInput(
+            "The take has no body poses.", f"{folder}/SMPLX", "Copy the SMPLX folder of the take."
+        )
+    order = sorted(fits)
+    row = {number: place for place, number in enumerate(order)}
+    notes: list[str] = []
+    poses = _poses(
+        [_dictionary(pickles.read(fits[n]), fits[n]) for n in order], folder / "SMPLX", body, notes
+    )
+    camera_path = folder / "Capture" / "cameras.pkl"
+    calibration = _dictionary(pickles.read(camera_path), camera_path)
+    cameras, views = {}, {}
+    for name, entry in calibration.items():
+        place = folder / "Capture" / name
+        if not re.fullmatch(r"[\w-]{1,64}", name):
+            raise BadData(f"The camera name {name!r} is unusable.", str(camera_path), "Get the file again.")
+        images = numbered_files(place / "images", re.compile(r"capture-f(\d+)\.png"))
+        if not images:
+            notes.append(f"camera {name} is calibrated, but its images are not there.")
+            continue
+        masks = numbered_files(place / "masks", re.compile(r"mask-f(\d+)\.png"))
+        labels = numbered_files(place / "labels", re.compile(r"label-f(\d+)\.png"))
+        cameras[name] = _camera(name, entry, images[min(images)], camera_path)
+        seen = view_files(images, masks, labels)
+        views[name] = {row[number]: view for number, view in seen.items() if number in row}
+    meshes = numbered_files(folder / "Meshes_pkl", re.compile(r"mesh-f(\d+)\.pkl"))
+    scanned = [number for number in order if number in meshes]
+    return make_take(
+        name=folder.resolve().name,
+        split=split,
+        cameras=cameras,
+        training=cameras,
+        heldout=(),
+        views=views,
+        poses=poses,
+        folder=folder,
+        calibration_files=[camera_path],
+        pose_files=[fits[number] for number in order],
+        scan=meshes[scanned[0]] if scanned else None,
+        scan_frame=row[scanned[0]] if scanned else None,
+        frame_names={place: f"{number:05d}" for number, place in row.items()},
+        notes=notes,
+    )
+
+
+def _camera(name: str, entry: Any, image: Path, path: Path) -> Camera:
+    where = f"{path}: camera {name}"
+    if not isinstance(entry, dict) or not {"intrinsics", "extrinsics"} <= set(entry):
+        raise BadData(f"Camera {name} lacks intrinsics or extrinsics.", where, "Get the file again.")
+    width, height = check_picture(read_bytes(image), image)
+    return checked_camera(name, width, height, entry["intrinsics"], entry["extrinsics"], where)
+
+
+def _poses(frames: list[dict[str, Any]], folder: Path, body: BodyModel | None, notes: list[str]) -> Poses:
+    """The fits of all frames, stacked as a `smpl_params.npz` has them.
+
+    Hands are 12 coefficients of the body model's hand space around its mean hand. A model without such a
+    space leaves the hands flat, which is noted.
+    """
+    arrays: dict[str, np.ndarray] = {}
+    for name in ("global_orient", "transl", "body_pose", *_OPTIONAL):
+        if name in _OPTIONAL and name not in frames[0]:
+            continue
+        rows = [_array(frame, name, folder).reshape(-1) for frame in frames]
+        if len({len(values) for values in rows}) != 1:
+            raise BadData(
+                f"{name} has different lengths in different frames.", str(folder), "Get the files again."
+            )
+        arrays[name] = np.stack(rows)
+    arrays["betas"] = _array(frames[0], "betas", folder).reshape(1, -1)
+    arrays["fps"] = np.array(FPS)
+    if any(arrays[name].shape[1] == _HAND_COEFFICIENTS for name in arrays if name.endswith("_hand_pose")):
+        if body is None or body.hand_components_left is None or body.hand_components_right is None:
+            arrays.pop("left_hand_pose", None)
+            arrays.pop("right_hand_pose", None)
+            notes.append(
+                "hands stay flat: they are given in the hand space of SMPL-X, which the body model lacks."
+            )
+        else:
+            arrays["flat_hand_mean"] = np.array(False)
+    return read_smpl_params(cast(NumericNpz, _Stack(folder, arrays)), body)
+
+
+class _Stack:
+    """Arrays in memory that read like an open `.npz`."""
+
+    def __init__(self, path: Path, arrays: dict[str, np.ndarray]) -> None:
+        self.path, self.arrays = path, arrays
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.arrays
+
+    def array(self, name: str) -> np.ndarray:
+        values = self.arrays[name]
+        if values.dtype.kind == "f" and not np.isfinite(values).all():
+            raise BadData(f"{name} contains NaN or infinity.", str(self.path), "Get the files again.")
+        return values
+
+
+def _split(folder: Path, folders: list[Path]) -> Split:
+    if len(folders) == 1:
+        return "train"
+    outfit = folder.resolve().parent
+    known = _TEST_TAKES.get((outfit.parent.name, outfit.name))
+    test = known if known is not None else (_take_number(folders[-1]),)
+    return "test" if _take_number(folder) in test else "train"
+
+
+def _take_number(folder: Path) -> int:
+    digits = re.sub(r"\D", "", folder.name)[:9]
+    return int(digits) if digits else 0
+
+
+def _dictionary(value: Any, path: Path) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise BadData("The file does not hold a dictionary.", str(path), "Get the file again.")
+    return value
+
+
+def _array(content: dict[str, Any], name: str, path: Path) -> np.ndarray:
+    value = content.get(name)
+    if isinstance(value, list):
+        value = np.asarray(value) if all(isinstance(item, int | float) for item in value) else None
+    if not isinstance(value, np.ndarray):
+        raise BadData(f"{name} is missing or no array.", str(path), "Get the file again.")
+    return value

@@ -1,0 +1,61 @@
+"""`gw register-template`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gw_cli.console import Console, command
+from gw_cli.options import DryRun, Force, Json, Preset, preset_config
+
+
+def register(app: typer.Typer) -> None:
+    @app.command("register-template")
+    @command
+    def register_template(
+        given: Annotated[
+            Path,
+            typer.Argument(metavar="CAPTURE", help="Folder of a capture, or one mesh of a dressed person."),
+        ],
+        subject: Annotated[Path, typer.Option("--output", "-o", help="Workspace folder of the subject.")],
+        template: Annotated[
+            str,
+            typer.Option(
+                help="auto | scan | hull | body: the capture's scan, the hull of the masks, the bare body."
+            ),
+        ] = "auto",
+        frame: Annotated[
+            int | None, typer.Option(help="Frame of the template; chosen by its pose if left out.")
+        ] = None,
+        take: Annotated[str | None, typer.Option(help="Training take of the template.")] = None,
+        body_model: Annotated[
+            Path | None,
+            typer.Option(
+                help="Body model the poses were fitted with (.npz, SMPL-X convention); default: the capture's."
+            ),
+        ] = None,
+        params: Annotated[Path | None, typer.Option(help="Body fit of a mesh (smpl_params.npz).")] = None,
+        capture_format: Annotated[str | None, typer.Option("--format", help="Layout of the capture.")] = None,
+        preset: Preset = "draft",
+        force: Force = False,
+        dry_run: DryRun = False,
+        as_json: Json = False,
+    ) -> None:
+        """Check that body and masks fit, and get the dressed surface of one frame.
+
+        The body of the poses is projected into the masks; if it does not fit, the command refuses and says what it
+        tried. The picture SUBJECT/register-template/*/overlay.png shows the fit.
+        """
+        from stages.register_template import stage
+        from stages.register_template.config import PRESETS
+
+        console = Console(as_json)
+        config = replace(preset_config(PRESETS, preset), template=template, frame=frame, take=take)
+        if dry_run:
+            console.plan(stage.plan(given, subject, config, body_model, params, capture_format))
+            return
+        result = stage.run(given, subject, config, console, body_model, params, capture_format, force)
+        console.result(result.summary, next_command=f"gw canonicalize {subject}")

@@ -1,0 +1,45 @@
+"""Configuration of `gw register-template`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+TEMPLATES = ("auto", "scan", "hull", "body")
+
+
+@dataclass(frozen=True)
+class RegisterTemplateConfig:
+    """Which frame and which surface become the template, and how the surface is made.
+
+    Attributes:
+        template: "scan" (the capture's own mesh), "hull" (from the masks), "body" (the bare body model), or
+            "auto": the scan where there is one, else the hull.
+        take: name of the training take; None is the first one with a scan, or the first.
+        frame: frame number; None is the scan's frame, or the one with arms and legs well apart.
+        bar: least share of the projected body that must lie inside the masks.
+        hull_pitch_m: distance of the nodes at which the hull is carved, metres.
+        hull_reach_m: how far from the body model the hull may go, metres.
+        smoothing_steps: rounds of smoothing of a hull that shrink nothing.
+        edge_m: length of the edges of a hull after remeshing, metres.
+        most_faces: scans with more faces are simplified.
+        fit_steps: optimisation steps of each level when the body is fitted to a mesh.
+    """
+
+    template: str = "auto"
+    take: str | None = None
+    frame: int | None = None
+    bar: float = 0.90
+    hull_pitch_m: float = 0.008
+    hull_reach_m: float = 0.35
+    smoothing_steps: int = 8
+    edge_m: float = 0.010
+    most_faces: int = 200_000
+    fit_steps: int = 120
+
+
+PRESETS: dict[str, RegisterTemplateConfig] = {
+    "tiny": RegisterTemplateConfig(hull_pitch_m=0.02, edge_m=0.025, fit_steps=40),
+    "draft": RegisterTemplateConfig(),
+    "balanced": RegisterTemplateConfig(hull_pitch_m=0.006, edge_m=0.008),
+    "paper": RegisterTemplateConfig(hull_pitch_m=0.004, edge_m=0.006, fit_steps=200),
+}

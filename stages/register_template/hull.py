@@ -1,0 +1,172 @@
+"""Visual hull: the largest shape that fits into the masks of all cameras at one frame.
+
+Every camera gives a signed distance to its silhouette, in metres at the depth of the point; the smallest over the
+cameras is a field whose zero level is the hull, known to a fraction of a pixel and of a grid step.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import igl
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from stages.shared.capture.camera import Camera
+from stages.shared.capture.projection import sample_bilinear
+from stages.shared.capture.take import MASK_THRESHOLD, Take
+from stages.shared.errors import BadData
+from stages.shared.meshes.mesh import Mesh
+from stages.shared.meshes.topology import adjacency, components, keep_faces
+from stages.shared.report import Report
+
+Doubles = NDArray[np.float64]
+
+MOST_NODES = 12_000_000
+_FEWEST_CAMERAS = 3
+_COARSENESS = 4
+
+
+@dataclass(frozen=True)
+class Silhouette:
+    """One camera and the signed distance (H, W, 1) f32 in pixels to the edge of its mask, positive inside."""
+
+    camera: Camera
+    distance: NDArray[np.float32]
+
+
+def carve(take: Take, frame: int, body_vertices: Doubles, pitch: float, reach: float, report: Report) -> Mesh:
+    """The hull of the masks of one frame as a closed mesh; its largest part only.
+
+    Arguments:
+        take, frame: cameras and masks; the training cameras are used.
+        body_vertices: (V, 3) posed body, world, metres: where to look, and how far to go.
+        pitch: metres between grid nodes. It grows when the grid would be too large.
+        reach: metres; nothing farther from the body belongs to the person.
+
+    Raises:
+        BadData: fewer than three cameras, an empty mask, masks that have no volume in common.
+    """
+    silhouettes = [
+        silhouette(take, name, frame) for name in take.training_cameras if take.has_image(name, frame)
+    ]
+    if len(silhouettes) < _FEWEST_CAMERAS:
+        raise BadData(
+            f"Only {len(silhouettes)} cameras see frame {frame}; a hull needs {_FEWEST_CAMERAS} or more.",
+            f"{take.name}, frame {frame}",
+            "Give a scan, or choose --template body.",
+        )
+    low, high = body_vertices.min(axis=0) - reach, body_vertices.max(axis=0) + reach
+    coarse = _grid(low, high, pitch * _COARSENESS)
+    inside = _field(coarse, silhouettes, body_vertices, reach) > -pitch * _COARSENESS
+    if not inside.any():
+        raise BadData(
+            "The masks of the cameras have no volume in common.",
+            f"{take.name}, frame {frame}",
+            "Check calibration and masks; the overlay picture shows both.",
+        )
+    near = coarse.nodes()[inside]
+    margin = pitch * (_COARSENESS + 2)
+    low, high = near.min(axis=0) - margin, near.max(axis=0) + margin
+    finest = (np.prod(high - low) / MOST_NODES) ** (1 / 3)
+    if finest > pitch:
+        report.warn(
+            f"the hull is carved at {1e3 * finest:.1f} mm, not {1e3 * pitch:.1f}: the grid would be too large"
+        )
+        pitch = float(finest)
+    grid = _grid(low, high, pitch)
+    values = _field(grid, silhouettes, body_vertices, reach)
+    vertices, faces, _ = igl.marching_cubes(values, grid.nodes(), *grid.shape[::-1], 0.0)
+    if not len(faces):
+        raise BadData(
+            "The masks leave no volume at this grid step.",
+            f"{take.name}, frame {frame}",
+            "Use a finer preset.",
+        )
+    return largest_part(outward(vertices, faces))
+
+
+def silhouette(take: Take, name: str, frame: int) -> Silhouette:
+    """Signed distance to the edge of a mask, positive inside, refined by the mask's soft edge."""
+    mask = take.mask(name, frame)
+    inside = mask > MASK_THRESHOLD
+    if not inside.any():
+        raise take.empty_mask(name, frame)
+    deep = cv2.distanceTransform(inside.astype(np.uint8), cv2.DIST_L2, 5)
+    far = cv2.distanceTransform((~inside).astype(np.uint8), cv2.DIST_L2, 5)
+    distance = np.where(inside, deep - 0.5, 0.5 - far)
+    edge = np.abs(distance) < 1
+    distance[edge] = mask[edge] / 255.0 - 0.5
+    return Silhouette(take.camera(name), distance[..., None].astype(np.float32))
+
+
+def outward(vertices: Doubles, faces: NDArray[np.integer]) -> Mesh:
+    """The mesh with its faces turned so that its volume is positive."""
+    corners = vertices[faces]
+    volume = np.einsum("fk,fk->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
+    return Mesh(vertices, faces if volume > 0 else faces[:, ::-1])
+
+
+def largest_part(mesh: Mesh) -> Mesh:
+    """The connected part with the most vertices."""
+    part = components(mesh.faces, len(mesh.vertices))
+    used = np.unique(mesh.faces)
+    largest = np.bincount(part[used]).argmax()
+    faces, kept = keep_faces(mesh.faces, part[mesh.faces[:, 0]] == largest, len(mesh.vertices))
+    return Mesh(mesh.vertices[kept], faces)
+
+
+def smooth(mesh: Mesh, steps: int, forward: float = 0.5, back: float = -0.53) -> Mesh:
+    """Taubin smoothing: each step draws vertices to their neighbours' mean and pushes back, so nothing shrinks.
+
+    (G. Taubin, A signal processing approach to fair surface design, 1995.)
+    """
+    neighbours = adjacency(mesh.faces, len(mesh.vertices)).astype(np.float64)
+    degree = np.maximum(np.asarray(neighbours.sum(axis=1)).reshape(-1, 1), 1)
+    vertices = mesh.vertices.astype(np.float64)
+    for _ in range(steps):
+        for share in (forward, back):
+            vertices = vertices + share * (neighbours @ vertices / degree - vertices)
+    return Mesh(vertices, mesh.faces)
+
+
+@dataclass(frozen=True)
+class _Grid:
+    """Nodes of a regular grid: x varies fastest, then y, then z."""
+
+    low: Doubles
+    pitch: float
+    shape: tuple[int, int, int]  # z, y, x
+
+    def nodes(self) -> Doubles:
+        z, y, x = (np.arange(count) * self.pitch for count in self.shape)
+        mesh = np.meshgrid(z + self.low[2], y + self.low[1], x + self.low[0], indexing="ij")
+        return np.stack([axis.reshape(-1) for axis in mesh[::-1]], axis=1)
+
+
+def _grid(low: Doubles, high: Doubles, pitch: float) -> _Grid:
+    counts = np.ceil((high - low) / pitch).astype(int) + 1
+    return _Grid(low, pitch, (int(counts[2]), int(counts[1]), int(counts[0])))
+
+
+def _field(grid: _Grid, silhouettes: list[Silhouette], body: Doubles, reach: float) -> Doubles:
+    """(nodes,) metres, positive inside the hull."""
+    nodes = grid.nodes()
+    # A point that fewer than two cameras have in view is not known to be anything.
+    seen = np.zeros(len(nodes), np.int32)
+    values = np.full(len(nodes), np.inf)
+    for one in silhouettes:
+        pixels, depth = one.camera.project(nodes)
+        in_view = one.camera.in_view(pixels)
+        focal = np.sqrt(one.camera.intrinsics[0, 0] * one.camera.intrinsics[1, 1])
+        distance = sample_bilinear(one.distance, pixels[in_view])[:, 0] * depth[in_view] / focal
+        values[in_view] = np.minimum(values[in_view], distance)
+        seen += in_view
+    values[seen < 2] = -grid.pitch
+    candidate = values > 0
+    if candidate.any():
+        near = reach - cKDTree(body).query(nodes[candidate], distance_upper_bound=reach)[0]
+        values[candidate] = np.minimum(values[candidate], np.maximum(near, -grid.pitch))
+    return values

@@ -1,0 +1,178 @@
+"""Register a subject: check that body and masks fit, and obtain the dressed person's surface at one frame.
+
+Reads:
+    a capture (cameras, poses, masks and images of the frames looked at, scan), or one mesh of a dressed person
+    a body model: given, the capture's own, or the embedded one
+Writes (artifact register-template):
+    template.safetensors   vertices (V,3) f32 m world, faces (F,3) i32, colors (V,3) u8 sRGB and labels (V,) u8 if known
+    smpl_params.npz        poses of all training frames; row `frame` of the summary is the template's frame
+    body.safetensors       the body model that the poses are for (`BodyModel.to_arrays`)
+    overlay.png            the body's outline over the images, or the mesh beside the fitted body
+    preview.png            the template from front and back
+    report.json            alignment per camera, what was tried, how the template was made
+and a copy of smpl_params.npz at SUBJECT/smpl_params.npz.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.pipeline import REGISTER_TEMPLATE
+from stages.register_template.config import TEMPLATES, RegisterTemplateConfig
+from stages.register_template.sources import (
+    Registered,
+    Source,
+    body_of,
+    capture_source,
+    mesh_source,
+    register_capture,
+    register_mesh,
+)
+from stages.shared.artifacts import Artifact, Workspace
+from stages.shared.artifacts.build import Build
+from stages.shared.capture.subject import remember_capture
+from stages.shared.errors import MissingInput, UsageProblem
+from stages.shared.meshes.picture import two_sided_picture
+from stages.shared.plan import Plan
+from stages.shared.report import SILENT, Report
+
+_ABOUT = {
+    "vertices": "m world (V,3)",
+    "faces": "vertex numbers (F,3)",
+    "colors": "sRGB (V,3)",
+    "labels": "layer label ids (V,)",
+}
+
+
+@dataclass(frozen=True)
+class RegisterTemplateResult:
+    """The artifact and the numbers to judge it by."""
+
+    artifact: Artifact
+    summary: dict[str, Any]
+
+
+def run(
+    given: Path,
+    subject: Path,
+    config: RegisterTemplateConfig = RegisterTemplateConfig(),
+    report: Report = SILENT,
+    body_model: Path | None = None,
+    params: Path | None = None,
+    format: str | None = None,
+    force: bool = False,
+) -> RegisterTemplateResult:
+    """Register the capture or mesh `given` as the workspace `subject`.
+
+    Arguments:
+        body_model: file that overrides the capture's own body model and the embedded one.
+        params: pose file with the body fit of a mesh; without it the body is fitted.
+        format: layout of the capture; None finds out.
+
+    Raises:
+        MissingInput: the capture, mesh, body model or something in them is not there.
+        BadData: damaged input; body and masks that do not fit together.
+        UsageProblem: a template, take or frame that there is none of.
+    """
+    workspace = Workspace(subject)
+    source = _source(given, config, body_model, params, format)
+    settings = {**asdict(config), "body": source.body.digest}
+    found = None if force else workspace.find(REGISTER_TEMPLATE, settings, source.inputs)
+    if found:
+        report.say("register-template is up to date")
+    else:
+        with workspace.build(REGISTER_TEMPLATE, settings, source.inputs, force) as build:
+            made = (
+                register_capture(source, config, report)
+                if source.capture
+                else register_mesh(source, config, report)
+            )
+            _write(build, source, made)
+        found = build.artifact
+    if source.capture:
+        remember_capture(workspace, source.capture, str(found.json("report")["convention"]))
+    workspace.publish(found, "smpl_params.npz", "smpl_params.npz")
+    return RegisterTemplateResult(found, found.summary)
+
+
+def plan(
+    given: Path,
+    subject: Path,
+    config: RegisterTemplateConfig = RegisterTemplateConfig(),
+    body_model: Path | None = None,
+    params: Path | None = None,
+    format: str | None = None,
+) -> Plan:
+    """What `run` would read, write and cost."""
+    source = _source(given, config, body_model, params, format)
+    hull = source.template == "hull"
+    nodes = 0.6 / config.hull_pitch_m**3
+    return Plan(
+        inputs=[str(file) for group in source.inputs.values() for file in group.files],
+        outputs=[str(subject / REGISTER_TEMPLATE.name), str(subject / "smpl_params.npz")],
+        config=asdict(config)
+        | {"template": source.template, "frame": source.frame, "body": source.body.source},
+        seconds=8.0 + (6e-6 * nodes if hull else 0) + (0.9 * config.fit_steps if source.fits_body else 0),
+        memory_bytes=700_000_000 + (int(120 * nodes) if hull else 0),
+        disk_bytes=20_000_000,
+    )
+
+
+def _source(
+    given: Path,
+    config: RegisterTemplateConfig,
+    body_model: Path | None,
+    params: Path | None,
+    format: str | None,
+) -> Source:
+    """The capture or mesh, its body model, and the template's take and frame."""
+    if config.template not in TEMPLATES:
+        raise UsageProblem(
+            f"There is no template called {config.template!r}.",
+            "option --template",
+            "Choose one of: " + ", ".join(TEMPLATES) + ".",
+        )
+    given = Path(given)
+    if given.is_dir():
+        if params is not None:
+            raise UsageProblem(
+                "A capture brings its own poses.",
+                "option --params",
+                "Leave --params out; it is for a lone mesh.",
+            )
+        return capture_source(given, config, body_model, format)
+    if given.is_file():
+        return mesh_source(given, config, body_of(body_model, None), body_model, params)
+    raise MissingInput(
+        "There is no such capture or mesh.", str(given), "Give the folder of a capture, or a mesh file."
+    )
+
+
+def _write(build: Build, source: Source, made: Registered) -> None:
+    template = made.template
+    arrays: dict[str, NDArray[np.generic]] = {"vertices": template.vertices, "faces": template.faces}
+    if template.colors is not None:
+        arrays["colors"] = template.colors
+    if template.labels is not None:
+        arrays["labels"] = template.labels
+    build.write_arrays("template", arrays, _ABOUT)
+    build.write_arrays("body", source.body.to_arrays())
+    build.write_bytes("smpl_params.npz", made.poses.to_npz_bytes())
+    build.write_picture("overlay.png", made.overlay)
+    build.write_picture("preview.png", two_sided_picture(template.vertices, template.faces, template.colors))
+    build.write_json("report.json", made.report)
+    build.summary(
+        frame=made.frame,
+        take=made.take,
+        template_source=made.source,
+        share_inside=made.share_inside,
+        vertices=len(template.vertices),
+        faces=len(template.faces),
+        frames=len(made.poses),
+        **made.numbers,
+    )

@@ -39,7 +39,7 @@ class PosedGaussians:
 
     Attributes:
         means: (N, 3) m. covariances: (N, 3, 3) m². opacities: (N,). colors: (N, 3) sRGB.
-        normals: (N, 3) unit, estimated from posed neighbours.
+        normals: (N, 3) unit, estimated from posed neighbours; without gradient.
         offsets: (N, 3) m, the canonical Δp that led here.
     """
 
@@ -117,8 +117,9 @@ def pose_layer(maps: LayerMaps, attributes: Attributes, transforms: Tensor, beta
     means = moved(shaped_positions(maps, betas) + attributes.offsets, matrices)
     spread = matrices[:, :, :3] @ (rotation_matrices(attributes.quaternions) * attributes.scales[:, None, :])
     covariances = spread @ spread.transpose(1, 2)
-    carried = (matrices[:, :, :3] @ maps.normals[:, :, None]).squeeze(-1)
-    normals = estimate_normals(means, maps, carried)
+    with torch.no_grad():
+        carried = (matrices[:, :, :3] @ maps.normals[:, :, None]).squeeze(-1)
+        normals = estimate_normals(means, maps, carried)
     return PosedGaussians(
         means, covariances, attributes.opacities, attributes.colors, normals, attributes.offsets
     )

@@ -103,7 +103,8 @@ class CosineMaps(nn.Module):
         view, row, column = maps.window_texels
         cell = ((row + grid.row) // grid.factor) * grid.width + (column + grid.column) // grid.factor
         cell = view * grid.height * grid.width + cell
-        number = torch.zeros(2 * grid.height * grid.width).index_add_(0, cell, torch.ones(len(cell)))
+        number = maps.positions.new_zeros(2 * grid.height * grid.width)
+        number.index_add_(0, cell, maps.positions.new_ones(len(cell)))
         self.register_buffer("cell", cell, persistent=False)
         self.register_buffer("number", number.clamp(min=1), persistent=False)
 

@@ -16,9 +16,11 @@ from stages.pipeline import BAKE_MAPS, TRAIN
 from stages.shared.artifacts import Workspace
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.avatar.model import LayerModel
+from stages.shared.body import embedded_body
+from stages.shared.capture import open_capture
 from stages.shared.errors import BadData, MissingInput, UsageProblem
 from stages.train import loop, stage, trainer
-from tests.stages.train.scene import make_subject, tiny
+from tests.stages.train.scene import look, make_subject, poses, tiny
 
 
 @pytest.fixture(scope="module")
@@ -57,16 +59,28 @@ def test_learning_lowers_the_loss_and_writes_a_whole_artifact(subject: Path) -> 
         "seam",
         "opacity",
     } <= lines[-1]["losses"].keys()
-    pictures = [name for name in result.artifact.files if name.startswith("previews/")]
-    assert pictures and result.artifact.bytes(pictures[0])[:4] == b"\x89PNG"
+    previews = [name for name in result.artifact.files if name.startswith("previews/")]
+    assert previews and result.artifact.bytes(previews[0])[:4] == b"\x89PNG"
     settings = result.artifact.json("model.json")["layers"]
     baked = Workspace(subject).require(BAKE_MAPS)
+    fresh, learned = {}, {}
     for name in ("body", "upper"):
         tensors = {key: torch.from_numpy(value) for key, value in result.artifact.arrays(name).items()}
-        LayerModel.from_state(settings[name], LayerMaps.load(baked, name), tensors)
+        learned[name] = LayerModel.from_state(settings[name], LayerMaps.load(baked, name), tensors)
+        fresh[name] = LayerModel(LayerMaps.load(baked, name), tiny().model)
+    assert _held_out_psnr(subject, learned) > _held_out_psnr(subject, fresh) + 5
     assert stage.run(subject, tiny(steps=60)).artifact.path == result.artifact.path, (
         "up to date: not done again"
     )
+
+
+def _held_out_psnr(subject: Path, models: dict[str, LayerModel]) -> float:
+    """PSNR inside the mask, of the camera that training never sees."""
+    take = open_capture(subject.parent / "capture").training_takes[0]
+    color, _, _ = look(models, embedded_body(), poses(), 2, take.camera("cam2"))
+    inside = take.mask("cam2", 2) > 127
+    error = (color.numpy() - take.image("cam2", 2) / 255.0)[inside]
+    return float(-10 * np.log10(np.square(error).mean()))
 
 
 def test_interrupted_run_resumes_to_the_bit(

@@ -1,0 +1,70 @@
+"""`gw train`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Annotated, Any
+
+import typer
+
+from gw_cli.console import Console, command
+from gw_cli.options import Device, DryRun, Force, Json, Preset, Seed, Subject, preset_config
+
+
+def register(app: typer.Typer) -> None:
+    @app.command("train")
+    @command
+    def train(
+        subject: Subject,
+        preset: Preset = "draft",
+        minutes: Annotated[
+            float, typer.Option(min=0, help="Stop after this much training time; 0 for the preset's steps.")
+        ] = 0.0,
+        steps: Annotated[
+            int | None, typer.Option(min=1, help="Optimiser steps instead of the preset's.")
+        ] = None,
+        frame_step: Annotated[
+            int | None, typer.Option(min=1, help="Learn from every so many-th frame of the take.")
+        ] = None,
+        views_per_step: Annotated[
+            int | None, typer.Option(min=1, help="Cameras splatted for each pass of the networks.")
+        ] = None,
+        image_scale: Annotated[
+            float | None, typer.Option(min=0.05, max=1.0, help="Learn from smaller pictures; 1 is full size.")
+        ] = None,
+        seed: Seed = 0,
+        device: Device = "auto",
+        force: Force = False,
+        dry_run: DryRun = False,
+        as_json: Json = False,
+    ) -> None:
+        """Learn every layer's Gaussians, and how they move with the pose, from the capture's images.
+
+        Reads the maps of `gw bake-maps` and the training take. Ctrl-C writes a checkpoint; the same command
+        goes on from there. Losses and times go to metrics.jsonl, previews (truth, render, labels) beside it.
+        """
+        from stages.train import stage
+        from stages.train.config import PRESETS
+
+        console = Console(as_json)
+        chosen: dict[str, Any] = {
+            "steps": steps,
+            "frame_step": frame_step,
+            "views_per_step": views_per_step,
+            "image_scale": image_scale,
+        }
+        config = replace(
+            preset_config(PRESETS, preset),
+            seed=seed,
+            device=device,
+            minutes=minutes,
+            **{name: value for name, value in chosen.items() if value is not None},
+        )
+        if dry_run:
+            console.plan(stage.plan(subject, config))
+            return
+        result = stage.run(subject, config, console, force=force)
+        console.result(
+            {"artifact": result.artifact.path, **result.summary},
+            next_command=f"gw export-garment {subject} --layer body -o body.gwg",
+        )

@@ -1,0 +1,83 @@
+"""State of an unfinished run in one file: weights, Adam's moments, and the step they are of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+
+from stages.shared.artifacts import Progress
+from stages.shared.errors import BadData
+from stages.train.trainer import Trainer
+
+CHECKPOINT_NAME = "checkpoint.safetensors"
+METRICS_NAME = "metrics.jsonl"
+
+
+@dataclass
+class RunState:
+    """Where a run stands.
+
+    Attributes:
+        step: next step to do. elapsed: seconds trained so far. skipped: steps that were not finite;
+        skipped_in_a_row: the latest of them.
+    """
+
+    step: int = 0
+    elapsed: float = 0.0
+    skipped: int = 0
+    skipped_in_a_row: int = 0
+
+
+def save(progress: Progress, trainer: Trainer, state: RunState) -> None:
+    """Replace the checkpoint; bit-exact, so that a resumed run gives the same weights (on a CPU)."""
+    arrays = {}
+    for name, parameter in trainer.parameters.items():
+        arrays[f"value.{name}"] = parameter.detach().cpu().numpy()
+        moments = trainer.optimizer.state.get(parameter)
+        if moments:
+            arrays[f"first.{name}"] = moments["exp_avg"].cpu().numpy()
+            arrays[f"second.{name}"] = moments["exp_avg_sq"].cpu().numpy()
+            arrays[f"count.{name}"] = moments["step"].cpu().numpy().reshape(1)
+    progress.write_arrays(CHECKPOINT_NAME, arrays, vars(state))
+
+
+def restore(progress: Progress, trainer: Trainer) -> RunState:
+    """Take up the checkpoint, or start at step 0 when there is none. Later lines of the metrics are dropped.
+
+    Raises:
+        BadData: the checkpoint is damaged or of other models.
+    """
+    if not progress.has(CHECKPOINT_NAME):
+        return RunState()
+    arrays, note = progress.arrays(CHECKPOINT_NAME)
+    state = RunState(**note)
+    for name, parameter in trainer.parameters.items():
+        value = arrays.get(f"value.{name}")
+        if value is None or value.shape != tuple(parameter.shape):
+            raise BadData(
+                f"The checkpoint does not fit this model ({name}).",
+                str(progress.path / CHECKPOINT_NAME),
+                "Run the same command with --force to start anew.",
+            )
+        parameter.data.copy_(torch.from_numpy(value))
+        if f"first.{name}" in arrays:
+            count = torch.from_numpy(arrays[f"count.{name}"])[0]
+            trainer.optimizer.state[parameter] = {
+                "step": count.to(parameter.device) if parameter.is_cuda else count.clone(),
+                "exp_avg": torch.from_numpy(arrays[f"first.{name}"]).to(parameter.device),
+                "exp_avg_sq": torch.from_numpy(arrays[f"second.{name}"]).to(parameter.device),
+            }
+    lines = [line for line in progress.lines(METRICS_NAME) if line["step"] < state.step]
+    progress.rewrite_lines(METRICS_NAME, lines)
+    return state
+
+
+def write_repro(progress: Progress, trainer: Trainer, report: dict[str, object]) -> str:
+    """Leave what is needed to repeat a step that was not finite; returns the folder."""
+    folder = progress.path / "repro"
+    folder.mkdir(exist_ok=True)
+    progress.write_json("repro/step.json", report)
+    arrays = {name: p.detach().cpu().numpy() for name, p in trainer.parameters.items()}
+    progress.write_arrays("repro/weights.safetensors", arrays, report)
+    return str(folder)

@@ -1,0 +1,108 @@
+"""What `gw train` can be told, and the presets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+from stages.shared.avatar.config import PAPER_MODEL, ModelConfig
+
+
+@dataclass(frozen=True)
+class LossWeights:
+    """Weight of every term; 0 switches a term off.
+
+    `l1`, `ssim`, `label`, `silhouette` compare pictures; `penetration` (hinge, m²), `offset` (m²), `smooth`
+    (mm²), `seam` (mm²), `opacity` and `covered_skin` act on the Gaussians. The defaults are the published
+    ones.
+    """
+
+    l1: float = 1.0
+    ssim: float = 0.05
+    label: float = 0.5
+    silhouette: float = 0.05
+    penetration: float = 0.5
+    offset: float = 0.005
+    smooth: float = 0.005
+    opacity: float = 0.01
+    seam: float = 0.0
+    covered_skin: float = 0.0
+
+
+@dataclass(frozen=True)
+class LearningRates:
+    """Adam's step sizes: of the networks, and of the free attributes per texel in their own units."""
+
+    network: float = 1e-3
+    offset: float = 2e-4
+    quaternion: float = 2e-3
+    opacity: float = 2e-2
+    scale: float = 5e-3
+    color: float = 2e-2
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """Configuration of a training run.
+
+    Attributes:
+        seed: of weights, order of frames and cameras, backgrounds.
+        steps: optimiser steps. minutes: stop earlier when this time is up (the schedules follow the clock
+            then); 0 for no limit.
+        frame_step: learn from every so many-th frame. views_per_step: cameras splatted per network pass.
+        image_scale: size of the pictures learned from, 1 is the capture's. coarse_scale, coarse_until:
+            smaller pictures up to this share of the run.
+        stage_two: share of the run after which penetration and smoothing are on.
+        rate_end: learning rates end (cosine) at this share of their start.
+        clip: ceiling of the global gradient norm; 0 for none.
+        label_kind: "l1" or "l2". penetration_margin: ε, m.
+        weights, rates, model: see there.
+        device: auto, cpu or cuda; not part of what the result is named by.
+    """
+
+    seed: int = 0
+    steps: int = 2000
+    minutes: float = 0.0
+    frame_step: int = 5
+    views_per_step: int = 4
+    image_scale: float = 1.0
+    coarse_scale: float = 0.5
+    coarse_until: float = 0.35
+    stage_two: float = 0.2
+    rate_end: float = 0.05
+    clip: float = 1.0
+    label_kind: str = "l1"
+    penetration_margin: float = 0.005
+    weights: LossWeights = field(default_factory=LossWeights)
+    rates: LearningRates = field(default_factory=LearningRates)
+    model: ModelConfig = field(default_factory=ModelConfig)
+    device: str = field(default="auto", metadata={"affects_result": False})
+
+
+_ECONOMY = LossWeights(
+    ssim=0.2, penetration=50.0, offset=1.0, smooth=0.002, opacity=0.005, seam=0.0005, covered_skin=0.02
+)
+DRAFT = TrainConfig(weights=_ECONOMY)
+PRESETS: dict[str, TrainConfig] = {
+    "tiny": replace(
+        DRAFT,
+        steps=20,
+        views_per_step=2,
+        image_scale=0.5,
+        model=ModelConfig(width=0.0625, depth=2, style=16, factor=4),
+    ),
+    "draft": DRAFT,
+    "balanced": replace(
+        DRAFT, steps=8000, frame_step=2, model=ModelConfig(width=0.25, depth=5, style=64, factor=2)
+    ),
+    "paper": TrainConfig(
+        steps=300_000,
+        frame_step=1,
+        views_per_step=1,
+        coarse_until=0.0,
+        stage_two=0.5,
+        clip=5e-4,
+        weights=LossWeights(),
+        rates=LearningRates(network=1.5e-4),
+        model=PAPER_MODEL,
+    ),
+}

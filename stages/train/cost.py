@@ -1,0 +1,66 @@
+"""What a run will cost, before it starts; estimates for two CPU cores."""
+
+from __future__ import annotations
+
+import torch
+
+from stages.shared.avatar.config import ModelConfig
+from stages.shared.avatar.maps import LayerMaps
+from stages.shared.avatar.positional import network_grid
+from stages.shared.nets.styleunet import StyleUNet
+from stages.train.config import TrainConfig
+
+# Measured on two cores: seconds per Gaussian and camera (512² images, forward and backward), per network
+# multiply-add, and per network pass whatever its size.
+_SECONDS_PER_GAUSSIAN = 2.5e-6
+_SECONDS_PER_PICTURE = 0.06
+_SECONDS_PER_NETWORK = 0.06
+_SECONDS_PER_WEIGHT_PIXEL = 1.2e-10
+_FLOAT = 4
+
+
+def parameters(maps: dict[str, LayerMaps], config: TrainConfig) -> int:
+    """Learned numbers of all layers."""
+    base = 14 * sum(len(layer) for layer in maps.values()) if config.model.base else 0
+    return base + sum(_network_parameters(layer, config.model) for layer in maps.values())
+
+
+def seconds(maps: dict[str, LayerMaps], config: TrainConfig) -> float:
+    """Time of a whole run."""
+    gaussians = sum(len(layer) for layer in maps.values())
+    pictures = config.views_per_step * (gaussians * _SECONDS_PER_GAUSSIAN + _SECONDS_PER_PICTURE)
+    networks = 0.0
+    for layer in maps.values():
+        grid = network_grid(layer.window, config.model.factor, config.model.depth)
+        work = _network_parameters(layer, config.model) * grid.height * grid.width
+        networks += _SECONDS_PER_NETWORK + work * _SECONDS_PER_WEIGHT_PIXEL
+    total = config.steps * (pictures + networks)
+    return min(total, 60.0 * config.minutes) if config.minutes > 0 else total
+
+
+def memory_bytes(maps: dict[str, LayerMaps], config: TrainConfig) -> int:
+    """Peak memory: libraries, weights with gradients and moments, network activations, cached pictures."""
+    activations = 0.0
+    for layer in maps.values():
+        grid = network_grid(layer.window, config.model.factor, config.model.depth)
+        nets = 1 if config.model.heads == "joint" else 3
+        activations += nets * grid.height * grid.width * 64 * config.model.width * 40 * _FLOAT
+    texels = sum(len(layer) for layer in maps.values())
+    return int(7e8 + 4 * _FLOAT * parameters(maps, config) + activations + texels * 3000 + 4e8)
+
+
+def disk_bytes(maps: dict[str, LayerMaps], config: TrainConfig) -> int:
+    """Weights, the checkpoint with moments (while it runs), metrics and previews."""
+    return 4 * _FLOAT * parameters(maps, config) + (16 << 20)
+
+
+def _network_parameters(layer: LayerMaps, model: ModelConfig) -> int:
+    grid = network_grid(layer.window, model.factor, model.depth)
+    inputs = 3 if model.input_views == "front" else 6
+    outputs = (14,) if model.heads == "joint" else (3, 3, 8)
+    with torch.device("meta"):
+        networks = [
+            StyleUNet(inputs, count, (grid.height, grid.width), model.depth, model.width, model.style)
+            for count in outputs
+        ]
+    return sum(p.numel() for network in networks for p in network.parameters())

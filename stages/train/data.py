@@ -1,0 +1,188 @@
+"""Training views: which frame and cameras a step sees, and their pictures, cropped to the subject.
+
+The choice is a function of (seed, step) alone, so a resumed run goes on as if it had never stopped.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from stages.shared.body import BodyModel, Poses, posed_vertices
+from stages.shared.capture import LAYER_OF_LABEL, NO_LABEL, Camera, Take
+from stages.shared.errors import MissingInput
+from stages.train.outline import mesh_outline
+
+_BACKGROUND, _UNKNOWN = 250, 255
+_MASK_THRESHOLD = 127
+_MARGIN = 8
+
+
+@dataclass(frozen=True)
+class View:
+    """One picture of the subject, cropped.
+
+    Attributes:
+        camera: of the crop. frame: number.
+        image: (H, W, 3) sRGB 0..1. inside: (H, W) 1 on the subject. valid: (H, W) 0 on the mask's edge, where
+            pixels mix subject and background.
+        labels: (H, W, L) one-hot layers, all 0 on the background. known: (H, W) 0 where the layer is unknown.
+        outline: (H, W) 1 on the body's own silhouette, garments left out.
+    """
+
+    camera: Camera
+    frame: int
+    image: Tensor
+    inside: Tensor
+    valid: Tensor
+    labels: Tensor
+    known: Tensor
+    outline: Tensor
+
+    def to(self, device: torch.device) -> View:
+        """The same view with its tensors on `device`."""
+        tensors = (self.image, self.inside, self.valid, self.labels, self.known, self.outline)
+        return View(self.camera, self.frame, *(tensor.to(device) for tensor in tensors))
+
+
+@dataclass(frozen=True)
+class StepChoice:
+    """What one step sees: a frame, some cameras, a background colour for each (K, 3)."""
+
+    frame: int
+    cameras: tuple[str, ...]
+    backgrounds: NDArray[np.float32]
+
+
+def choose(seed: int, step: int, frames: Sequence[int], cameras: Sequence[str], views: int) -> StepChoice:
+    """Every frame once per epoch in a new order; cameras without repetition within a step."""
+    epoch, place = divmod(step, len(frames))
+    order = np.random.default_rng([seed, 1, epoch]).permutation(len(frames))
+    generator = np.random.default_rng([seed, 2, step])
+    chosen = generator.permutation(len(cameras))[: min(views, len(cameras))]
+    backgrounds = generator.random((len(chosen), 3)).astype(np.float32)
+    return StepChoice(frames[order[place]], tuple(cameras[index] for index in chosen), backgrounds)
+
+
+class TrainingViews:
+    """Pictures of a take, decoded once and kept while they fit into memory.
+
+    Arguments:
+        take: training take. poses: row = frame number of the take. body: model of the poses.
+        layers: names, inner to outer; labels of other layers count as unknown.
+        cache_bytes: most memory for decoded crops.
+    """
+
+    def __init__(
+        self, take: Take, poses: Poses, body: BodyModel, layers: Sequence[str], cache_bytes: int = 1 << 30
+    ) -> None:
+        self.take, self.poses, self.body, self.layers = take, poses, body, tuple(layers)
+        self.cache_bytes = cache_bytes
+        self._cached_bytes = 0
+        self._crops: OrderedDict[tuple[int, str], _Crop] = OrderedDict()
+        self._layer_of_id = np.full(256, _UNKNOWN, dtype=np.uint8)
+        for label, layer in LAYER_OF_LABEL.items():
+            if layer in self.layers:
+                self._layer_of_id[label] = self.layers.index(layer)
+
+    def frames(self, step: int) -> list[int]:
+        """Every `step`-th frame that has images."""
+        if not self.take.frames:
+            raise MissingInput(
+                "The training take has no frame with images.", self.take.name, "Check the capture."
+            )
+        return self.take.frames[::step]
+
+    def view(self, frame: int, camera: str, scale: float = 1.0) -> View:
+        """One view at `scale` times its resolution."""
+        crop = self._crop(frame, camera)
+        seen_by = crop.camera if scale == 1.0 else crop.camera.scaled(scale)
+        size = (seen_by.width, seen_by.height)
+        image: NDArray[Any] = crop.image
+        layer: NDArray[Any] = crop.layer
+        outline: NDArray[Any] = crop.outline.astype(np.float32)
+        inside = crop.mask > _MASK_THRESHOLD
+        if scale != 1.0:
+            image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+            outline = cv2.resize(outline, size, interpolation=cv2.INTER_AREA)
+            inside = cv2.resize(crop.mask, size, interpolation=cv2.INTER_AREA) > _MASK_THRESHOLD
+            layer = cv2.resize(layer, size, interpolation=cv2.INTER_NEAREST)
+        valid = _edge(inside) == 0
+        labels = np.stack([layer == index for index in range(len(self.layers))], axis=2)
+        return View(
+            camera=seen_by,
+            frame=frame,
+            image=torch.from_numpy(image.astype(np.float32) / 255.0),
+            inside=torch.from_numpy(inside.astype(np.float32)),
+            valid=torch.from_numpy(valid.astype(np.float32)),
+            labels=torch.from_numpy(labels.astype(np.float32)),
+            known=torch.from_numpy((valid & (layer != _UNKNOWN)).astype(np.float32)),
+            outline=torch.from_numpy(outline),
+        )
+
+    def _crop(self, frame: int, camera: str) -> _Crop:
+        key = (frame, camera)
+        crop = self._crops.get(key)
+        if crop is not None:
+            self._crops.move_to_end(key)
+            return crop
+        crop = self._read(frame, camera)
+        self._crops[key] = crop
+        self._cached_bytes += crop.bytes
+        while self._cached_bytes > self.cache_bytes and len(self._crops) > 1:
+            _, dropped = self._crops.popitem(last=False)
+            self._cached_bytes -= dropped.bytes
+        return crop
+
+    def _read(self, frame: int, camera: str) -> _Crop:
+        left, top, right, bottom = box = self.take.subject_box(camera, frame, margin=_MARGIN)
+        inside = (slice(top, bottom), slice(left, right))
+        mask = self.take.mask(camera, frame)[inside]
+        labels = self.take.labels(camera, frame)
+        seen_by = self.take.camera(camera).crop(box)
+        layer = np.full(mask.shape, _UNKNOWN, dtype=np.uint8)
+        if labels is not None:
+            labels = labels[inside]
+            layer = self._layer_of_id[labels]
+            layer[labels == NO_LABEL] = _UNKNOWN
+        layer[mask <= _MASK_THRESHOLD] = _BACKGROUND
+        outline = mesh_outline(self._body_vertices(frame), self.body.faces, seen_by)
+        if "body" in self.layers:  # hair and shoes are part of the body, but not of the body model
+            outline |= layer == self.layers.index("body")
+        return _Crop(seen_by, self.take.image(camera, frame)[inside].copy(), mask.copy(), layer, outline)
+
+    def _body_vertices(self, frame: int) -> NDArray[np.float32]:
+        poses = self.poses[frame]
+        arrays = (poses.rotations[0], poses.translation[0], poses.betas, poses.expression[0])
+        rotations, translation, betas, expression = (torch.from_numpy(array) for array in arrays)
+        return posed_vertices(self.body, rotations, translation, betas, expression).numpy()
+
+
+@dataclass(frozen=True)
+class _Crop:
+    """What is kept of a view: u8 arrays of the crop."""
+
+    camera: Camera
+    image: NDArray[np.uint8]
+    mask: NDArray[np.uint8]
+    layer: NDArray[np.uint8]
+    outline: NDArray[np.bool_]
+
+    @property
+    def bytes(self) -> int:
+        return self.image.nbytes + self.mask.nbytes + self.layer.nbytes + self.outline.nbytes
+
+
+def _edge(inside: NDArray[np.bool_]) -> NDArray[Any]:
+    """1 on the boundary of a mask: dilation minus erosion, 3×3."""
+    mask = inside.astype(np.uint8)
+    kernel = np.ones((3, 3), dtype=np.uint8)
+    return cv2.dilate(mask, kernel) - cv2.erode(mask, kernel)

@@ -1,0 +1,157 @@
+"""The loop of a run: steps until the schedule ends; checkpoints, metrics and previews on the way."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+from typing import Any
+
+from stages.shared.artifacts import Progress
+from stages.shared.artifacts.pictures import encode_png
+from stages.shared.errors import BadData
+from stages.shared.report import Report
+from stages.train import checkpoint, schedule
+from stages.train.checkpoint import METRICS_NAME, RunState
+from stages.train.config import TrainConfig
+from stages.train.preview import preview, preview_views
+from stages.train.trainer import StepReport, Trainer
+
+_CHECKPOINT_SECONDS = 60.0
+_PREVIEW_SECONDS = 120.0
+_STEPS_PER_LINE = 10
+_MOST_SKIPPED = 3
+
+
+def learn(trainer: Trainer, progress: Progress, state: RunState, report: Report) -> None:
+    """Steps until the schedule ends; checkpoints, metrics and previews on the way."""
+    config = trainer.config
+    shown = preview_views(trainer.views, trainer.frames)
+    report.step("train")
+    pending: list[StepReport] = []
+    saved = previewed = time.monotonic()
+    _save_preview(trainer, progress, state, shown)
+    with _interrupt_flag() as interrupted:
+        while schedule.progress(config, state.step, state.elapsed) < 1.0:
+            started = time.monotonic()
+            done = trainer.step(state.step, state.elapsed)
+            state.step += 1
+            pending.append(done)
+            _count_skipped(trainer, progress, state, done, report)
+            if state.step % _STEPS_PER_LINE == 0:
+                progress.append_line(
+                    METRICS_NAME, _line(pending, schedule.image_scale(config, _done(trainer, state)))
+                )
+                loss, l1 = _shown(pending)
+                report.progress(*_position(config, state), loss=loss, l1=l1)
+                pending = []
+            state.elapsed += time.monotonic() - started
+            if interrupted.is_set() or time.monotonic() - saved > _CHECKPOINT_SECONDS:
+                checkpoint.save(progress, trainer, state)
+                saved = time.monotonic()
+            if interrupted.is_set():
+                report.say(f"checkpoint written at step {state.step}")
+                raise KeyboardInterrupt
+            if time.monotonic() - previewed > _PREVIEW_SECONDS:
+                _save_preview(trainer, progress, state, shown)
+                previewed = time.monotonic()
+    checkpoint.save(progress, trainer, state)
+    _save_preview(trainer, progress, state, shown)
+    if pending:
+        progress.append_line(METRICS_NAME, _line(pending, schedule.image_scale(config, 1.0)))
+
+
+def _done(trainer: Trainer, state: RunState) -> float:
+    return schedule.progress(trainer.config, state.step, state.elapsed)
+
+
+def _position(config: TrainConfig, state: RunState) -> tuple[int, int]:
+    """Steps done, and the total as it looks now (the clock may end a run before the steps do)."""
+    done = schedule.progress(config, state.step, state.elapsed)
+    return state.step, max(state.step, round(state.step / done)) if done > 0 else config.steps
+
+
+def _count_skipped(
+    trainer: Trainer, progress: Progress, state: RunState, done: StepReport, report: Report
+) -> None:
+    """Say which step was not finite; three in a row end the run with a folder to repeat it from."""
+    if done.finite:
+        state.skipped_in_a_row = 0
+        return
+    state.skipped += 1
+    state.skipped_in_a_row += 1
+    cameras = ", ".join(done.cameras)
+    report.warn(f"step {done.step} (frame {done.frame}, {cameras}) gave NaN or infinity and was skipped")
+    if state.skipped_in_a_row >= _MOST_SKIPPED:
+        terms = {name: value if value == value else None for name, value in done.terms.items()}
+        facts = {
+            "step": done.step,
+            "frame": done.frame,
+            "cameras": list(done.cameras),
+            "seed": trainer.config.seed,
+            "elapsed": state.elapsed,
+            "finite_terms": sorted(name for name, value in terms.items() if value is not None),
+            "terms_not_finite": sorted(name for name, value in terms.items() if value is None),
+        }
+        folder = checkpoint.write_repro(progress, trainer, facts)
+        raise BadData(
+            f"{_MOST_SKIPPED} steps in a row were not finite, the last with frame {done.frame} by {cameras}.",
+            folder,
+            "Look at that frame's images and pose; or train with another --seed.",
+        )
+
+
+def _line(steps: list[StepReport], scale: float) -> dict[str, Any]:
+    """One line of the metrics: means over the finite steps."""
+    finite = [step for step in steps if step.finite]
+    number = max(len(finite), 1)
+
+    def means(rows: list[dict[str, float]]) -> dict[str, float]:
+        names = dict.fromkeys(name for row in rows for name in row)
+        return {name: sum(row.get(name, 0.0) for row in rows) / number for name in names}
+
+    return {
+        "step": steps[-1].step,
+        "losses": means([step.terms for step in finite]),
+        "gradient_norm": sum(step.gradient_norm for step in finite) / number,
+        "seconds": means([step.seconds for step in finite]),
+        "image_scale": scale,
+        "skipped": len(steps) - len(finite),
+    }
+
+
+def _shown(steps: list[StepReport]) -> tuple[float, float]:
+    """Mean total loss and picture difference of the latest finite steps."""
+    finite = [step for step in steps if step.finite] or steps[-1:]
+    total, difference = (sum(step.terms.get(name, 0.0) for step in finite) for name in ("total", "l1"))
+    return total / len(finite), difference / len(finite)
+
+
+def _save_preview(
+    trainer: Trainer, progress: Progress, state: RunState, shown: list[tuple[int, str]]
+) -> None:
+    (progress.path / "previews").mkdir(exist_ok=True)
+    progress.write_bytes(f"previews/step-{state.step:06d}.png", encode_png(preview(trainer, shown)))
+
+
+@contextmanager
+def _interrupt_flag() -> Iterator[threading.Event]:
+    """Ctrl-C sets a flag that the loop looks at between steps; a second one stops at once."""
+    flag = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield flag
+        return
+
+    def remember(number: int, frame: FrameType | None) -> None:
+        if flag.is_set():
+            raise KeyboardInterrupt
+        flag.set()
+
+    before = signal.signal(signal.SIGINT, remember)
+    try:
+        yield flag
+    finally:
+        signal.signal(signal.SIGINT, before)

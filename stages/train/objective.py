@@ -1,0 +1,163 @@
+"""The loss of one step: picture terms per camera, surface terms per layer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from stages.shared.avatar.compose import Composite
+from stages.shared.avatar.deform import PosedGaussians
+from stages.shared.avatar.maps import LayerMaps
+from stages.shared.capture import Camera
+from stages.shared.losses.covered_skin import covered_skin_loss, hand_texels
+from stages.shared.losses.l1 import l1
+from stages.shared.losses.label import label_loss
+from stages.shared.losses.offset import offset_loss
+from stages.shared.losses.opacity import opacity_loss
+from stages.shared.losses.penetration import penetration_loss
+from stages.shared.losses.seam import seam_loss
+from stages.shared.losses.silhouette import silhouette_loss
+from stages.shared.losses.smooth import smooth_loss
+from stages.shared.losses.ssim import ssim_loss
+from stages.shared.splat.api import rasterize
+from stages.train.config import LossWeights
+from stages.train.data import View
+
+_OUTLINE_SCALE = 0.5
+# Which layers lie directly under which: the garment of each pair must stay outside the other.
+_PAIRS = (("body", "lower"), ("body", "upper"), ("lower", "upper"), ("upper", "outer"), ("body", "outer"))
+
+
+def camera_tensors(camera: Camera, like: Tensor) -> tuple[Tensor, Tensor]:
+    """camera_from_world (4, 4) and intrinsics (3, 3) as tensors of the type and place of `like`."""
+    matrix = torch.from_numpy(camera.camera_from_world).to(like)
+    return matrix, torch.from_numpy(camera.intrinsics).to(like)
+
+
+def render(composite: Composite, camera: Camera) -> tuple[Tensor, Tensor, Tensor]:
+    """Colour (H, W, 3) on black, layer labels (H, W, L) and alpha (H, W) of a composite."""
+    viewmat, intrinsics = camera_tensors(camera, composite.means)
+    picture = rasterize(
+        composite.means,
+        None,
+        None,
+        composite.opacities,
+        composite.features,
+        viewmat,
+        intrinsics,
+        camera.width,
+        camera.height,
+        covars=composite.covariances,
+    )
+    return picture.features[..., :3], picture.features[..., 3:], picture.alpha
+
+
+def picture_terms(
+    composite: Composite, view: View, background: Tensor, weights: LossWeights, label_kind: str
+) -> dict[str, Tensor]:
+    """Unweighted picture terms of one camera; only those with a weight.
+
+    `background` (3,) lies behind render and truth alike; pixels on the mask's edge do not count.
+    """
+    color, labels, alpha = render(composite, view.camera)
+    valid = view.valid[..., None]
+    image = (color + (1.0 - alpha)[..., None] * background) * valid
+    inside = view.inside[..., None]
+    truth = (view.image * inside + background * (1.0 - inside)) * valid
+    terms = {}
+    if weights.l1 > 0:
+        terms["l1"] = l1(image, truth)
+    if weights.ssim > 0:
+        terms["ssim"] = ssim_loss(image, truth)
+    if weights.label > 0:
+        terms["label"] = label_loss(labels, view.labels, view.known, label_kind)
+    if weights.silhouette > 0 and "body" in composite.layers:
+        terms["silhouette"] = _silhouette(composite, view)
+    return terms
+
+
+def _silhouette(composite: Composite, view: View) -> Tensor:
+    """The body alone against its outline, at half size: it says where the body is, not what it looks like."""
+    camera = view.camera.scaled(_OUTLINE_SCALE)
+    alone = composite.layer_ids == composite.layers.index("body")
+    viewmat, intrinsics = camera_tensors(camera, composite.means)
+    picture = rasterize(
+        composite.means[alone],
+        None,
+        None,
+        composite.opacities[alone],
+        composite.features[alone, :1].detach(),
+        viewmat,
+        intrinsics,
+        camera.width,
+        camera.height,
+        covars=composite.covariances[alone],
+    )
+    small = torch.nn.functional.interpolate(
+        view.outline[None, None], size=(camera.height, camera.width), mode="area"
+    )[0, 0]
+    return silhouette_loss(picture.alpha, small)
+
+
+@dataclass(frozen=True)
+class Surfaces:
+    """What the surface terms need to know of the layers, once per run.
+
+    Attributes:
+        maps: name to maps. covered: body texels that share a pixel with a garment. hands: body texels on
+            hands, which are taken for bare skin.
+    """
+
+    maps: dict[str, LayerMaps]
+    covered: Tensor
+    hands: Tensor
+
+    @classmethod
+    def of(cls, maps: dict[str, LayerMaps]) -> Surfaces:
+        """From the maps of all layers."""
+        nothing = torch.zeros(0, dtype=torch.bool)
+        if "body" not in maps:
+            return cls(maps, nothing, nothing)
+        body = maps["body"]
+        covered = body.covered_by([layer for name, layer in maps.items() if name != "body"])
+        return cls(maps, covered, hand_texels(body.skin_weights) & ~covered)
+
+
+def surface_terms(
+    posed: dict[str, PosedGaussians], surfaces: Surfaces, weights: LossWeights, margin: float
+) -> dict[str, Tensor]:
+    """Unweighted surface terms, summed over layers (or pairs of layers); only those with a weight."""
+    terms: dict[str, Tensor] = {}
+    maps = surfaces.maps
+    if weights.offset > 0:
+        terms["offset"] = _total(offset_loss(layer.offsets) for layer in posed.values())
+    if weights.smooth > 0:
+        terms["smooth"] = _total(
+            smooth_loss(layer.offsets, maps[name].neighbours) for name, layer in posed.items()
+        )
+    if weights.seam > 0:
+        terms["seam"] = _total(
+            seam_loss(layer.offsets, layer.colors, maps[name].seams) for name, layer in posed.items()
+        )
+    pairs = [(inner, outer) for inner, outer in _PAIRS if inner in posed and outer in posed]
+    if weights.penetration > 0 and pairs:
+        terms["penetration"] = _total(
+            penetration_loss(posed[outer].means, posed[inner].means, posed[inner].normals, margin)
+            for inner, outer in pairs
+        )
+    if "body" in posed and weights.opacity > 0:
+        terms["opacity"] = opacity_loss(posed["body"].opacities)
+    if "body" in posed and weights.covered_skin > 0:
+        terms["covered_skin"] = covered_skin_loss(posed["body"].colors, surfaces.covered, surfaces.hands)
+    return terms
+
+
+def weighted(terms: dict[str, Tensor], weights: LossWeights) -> Tensor:
+    """Sum of the terms times their weights."""
+    return _total(getattr(weights, name) * value for name, value in terms.items())
+
+
+def _total(values: object) -> Tensor:
+    return torch.stack(list(values)).sum()  # type: ignore[call-overload]

@@ -1,0 +1,187 @@
+"""Train: learn every layer's Gaussians and how they depend on the pose, from multi-view video.
+
+Reads:
+    register-template: `smpl_params.npz` poses of the training take; `body.safetensors` body model.
+    bake-maps: `<layer>.safetensors` maps of each layer that is there.
+    the capture: images, masks and labels of the training take.
+Writes:
+    `<layer>.safetensors`: base attributes (N, …) f32 per texel and network weights (`LayerModel.state`).
+    `model.json`: {"layers": {name: `LayerModel.config`}}, inner to outer.
+    `metrics.jsonl`: one line per few steps: losses, gradient norm, seconds by part.
+    `previews/*.png`: truth | render | labels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from stages.pipeline import BAKE_MAPS, REGISTER_TEMPLATE, TRAIN
+from stages.shared.artifacts import Artifact, ExternalFiles, Progress, Workspace
+from stages.shared.avatar.maps import LayerMaps
+from stages.shared.avatar.model import LayerModel
+from stages.shared.body import BodyModel
+from stages.shared.capture import LAYERS, Capture, Take, open_capture
+from stages.shared.errors import BadData, MissingInput, UsageProblem
+from stages.shared.plan import Plan
+from stages.shared.poses import load_poses
+from stages.shared.report import SILENT, Report
+from stages.train import checkpoint, cost
+from stages.train.checkpoint import METRICS_NAME, RunState
+from stages.train.config import TrainConfig
+from stages.train.data import TrainingViews
+from stages.train.loop import learn
+from stages.train.trainer import Trainer
+
+
+@dataclass(frozen=True)
+class TrainResult:
+    """The finished artifact and a few numbers to judge it by."""
+
+    artifact: Artifact
+    summary: dict[str, Any]
+
+
+def run(
+    subject: Path,
+    config: TrainConfig | None = None,
+    report: Report = SILENT,
+    force: bool = False,
+) -> TrainResult:
+    """Train the layers of a subject; an interrupted run of the same configuration goes on where it stopped.
+
+    Raises:
+        MissingInput: an earlier stage has not run. BadData: three steps in a row were not finite.
+        KeyboardInterrupt: after Ctrl-C, with a checkpoint written.
+    """
+    config = config or TrainConfig()
+    workspace = Workspace(subject)
+    source = _open(workspace)
+    inputs = source.inputs
+    found = None if force else workspace.find(TRAIN, config, inputs)
+    if found is not None:
+        report.say("up to date")
+        return TrainResult(found, found.summary)
+    report.step("read")
+    trainer = _trainer(source, config, _device(config.device))
+    with workspace.progress(TRAIN, config, inputs, force=force) as progress:
+        state = checkpoint.restore(progress, trainer)
+        if state.step:
+            report.say(f"going on from step {state.step}")
+        learn(trainer, progress, state, report)
+        report.step("write")
+        with workspace.build(TRAIN, config, inputs, force=force) as build:
+            for name, model in trainer.models.items():
+                build.write_arrays(f"{name}.safetensors", {k: v.numpy() for k, v in model.state().items()})
+            build.write_json("model.json", {"layers": {n: m.config for n, m in trainer.models.items()}})
+            build.write_bytes(METRICS_NAME, (progress.path / METRICS_NAME).read_bytes())
+            for picture in sorted((progress.path / "previews").glob("*.png")):
+                build.write_bytes(f"previews/{picture.name}", picture.read_bytes())
+            build.summary(**_summary(trainer, state, progress))
+            build.measured(training_seconds=round(state.elapsed, 1))
+    return TrainResult(build.artifact, build.artifact.summary)
+
+
+def plan(subject: Path, config: TrainConfig | None = None) -> Plan:
+    """Inputs, outputs and cost of `run`; reads the maps, writes nothing."""
+    config = config or TrainConfig()
+    workspace = Workspace(subject)
+    source = _open(workspace)
+    maps = source.maps()
+    return Plan(
+        inputs=[str(source.registered.path), str(source.baked.path), str(source.capture.root)],
+        outputs=[f"{workspace.root / TRAIN.name}/<key>/{name}.safetensors" for name in maps],
+        config=asdict(config),
+        seconds=cost.seconds(maps, config),
+        memory_bytes=cost.memory_bytes(maps, config),
+        disk_bytes=cost.disk_bytes(maps, config),
+    )
+
+
+@dataclass(frozen=True)
+class _Source:
+    """Everything the stage reads."""
+
+    registered: Artifact
+    baked: Artifact
+    capture: Capture
+    take: Take
+
+    @property
+    def inputs(self) -> dict[str, Artifact | ExternalFiles]:
+        groups = ("cameras", "images", "masks", "labels")
+        files = {f"capture/{group}": self.capture.files(group, "train") for group in groups}
+        return {
+            "register-template": self.registered,
+            "bake-maps": self.baked,
+            **{name: ExternalFiles(name, self.capture.root, paths) for name, paths in files.items() if paths},
+        }
+
+    def maps(self) -> dict[str, LayerMaps]:
+        """Maps of the layers that are there, inner to outer."""
+        layers = [name for name in LAYERS if name in self.baked.summary["layers"]]
+        return {name: LayerMaps.load(self.baked, name) for name in layers}
+
+
+def _open(workspace: Workspace) -> _Source:
+    registered, baked = workspace.require(REGISTER_TEMPLATE), workspace.require(BAKE_MAPS)
+    settings = workspace.settings()
+    if "capture" not in settings:
+        raise MissingInput(
+            "This subject was made from a mesh, without images to learn from.",
+            str(workspace.root),
+            "Register it from a capture: gw register-template CAPTURE -o SUBJECT",
+        )
+    body = BodyModel.from_arrays(registered.arrays("body.safetensors"))
+    capture = open_capture(workspace.setting_path("capture"), settings.get("capture_format"), body)
+    name = registered.summary.get("take")
+    takes = {take.name: take for take in capture.training_takes}
+    if name not in takes:
+        raise MissingInput(
+            f"The capture has no training take called {name!r} any more.",
+            str(capture.root),
+            "Register the subject again with `gw register-template`.",
+        )
+    return _Source(registered, baked, capture, takes[name])
+
+
+def _device(name: str) -> torch.device:
+    if name not in ("auto", "cpu", "cuda"):
+        raise UsageProblem(f"There is no device {name!r}.", "option --device", "Choose auto, cpu or cuda.")
+    if name == "cuda" and not torch.cuda.is_available():
+        raise UsageProblem("No CUDA device was found.", "option --device", "Use --device cpu.")
+    return torch.device("cuda" if name != "cpu" and torch.cuda.is_available() else "cpu")
+
+
+def _trainer(source: _Source, config: TrainConfig, device: torch.device) -> Trainer:
+    body = BodyModel.from_arrays(source.registered.arrays("body.safetensors"))
+    poses = load_poses(source.registered.file("smpl_params.npz"), body)
+    maps = source.maps()
+    if len(poses) <= max(source.take.frames, default=0):
+        raise BadData(
+            f"There are {len(poses)} poses, but images up to frame {source.take.frames[-1]}.",
+            str(source.registered.path / "smpl_params.npz"),
+            "Register the subject again with `gw register-template`.",
+        )
+    views = TrainingViews(source.take, poses, body, list(maps))
+    models = {
+        name: LayerModel(layer.to(device), config.model, seed=config.seed + index).to(device)
+        for index, (name, layer) in enumerate(maps.items())
+    }
+    return Trainer(config, models, views, device)
+
+
+def _summary(trainer: Trainer, state: RunState, progress: Progress) -> dict[str, Any]:
+    lines = progress.lines(METRICS_NAME)
+    return {
+        "layers": list(trainer.models),
+        "gaussians": sum(len(model.maps) for model in trainer.models.values()),
+        "parameters": sum(parameter.numel() for parameter in trainer.parameters.values()),
+        "frames": len(trainer.frames),
+        "steps": state.step,
+        "skipped": state.skipped,
+        "losses": lines[-1]["losses"] if lines else {},
+    }

@@ -160,7 +160,7 @@ def _write(build: Build, source: Source, made: Registered) -> None:
         arrays["colors"] = template.colors
     if template.labels is not None:
         arrays["labels"] = template.labels
-    build.write_arrays("template", arrays, _ABOUT)
+    build.write_arrays("template", arrays, {name: _ABOUT[name] for name in arrays})
     build.write_arrays("body", source.body.to_arrays())
     build.write_bytes("smpl_params.npz", made.poses.to_npz_bytes())
     build.write_picture("overlay.png", made.overlay)

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from stages.synth.shells import unique_edges
+from stages.shared.meshes import edges as edges_of
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -42,7 +42,7 @@ class ClothModel:
 
 def cloth_model(vertices: Floats, faces: Indices) -> ClothModel:
     """Constraints of a garment whose unstretched shape is given (V, 3) metres, faces (F, 3)."""
-    edges = unique_edges(faces)
+    edges = edges_of(faces).astype(np.int64)
     edges = edges[np.lexsort((edges[:, 1], -vertices[edges].mean(axis=1)[:, 1].round(3)))]
     wings = _wings(faces)
     return ClothModel(edges, _lengths(vertices, edges), wings, _lengths(vertices, wings))

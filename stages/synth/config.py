@@ -21,7 +21,7 @@ class SynthConfig:
         substeps: cloth steps per frame of 1/30 s.
         settle_frames: frames in which the garments fall into place before frame 0.
         ambient_rays: rays per vertex for soft shadows; 0 leaves them out.
-        jpeg_quality: 1 to 100; 0 writes PNG.
+        jpeg: images as JPEG (quality 95) instead of PNG.
         seed: of everything random.
     """
 
@@ -31,12 +31,12 @@ class SynthConfig:
     train_images: int = 32
     train_stride: int = 5
     test_images: int = 10
-    test_stride: int = 6
+    test_stride: int = 8
     cloth_spacing: float = 0.017
     substeps: int = 20
     settle_frames: int = 45
     ambient_rays: int = 24
-    jpeg_quality: int = 95
+    jpeg: bool = True
     seed: int = 0
 
 
@@ -47,7 +47,7 @@ PRESETS: dict[str, SynthConfig] = {
         train_images=4,
         train_stride=40,
         test_images=2,
-        test_stride=30,
+        test_stride=40,
         cloth_spacing=0.032,
         substeps=14,
         settle_frames=30,
@@ -55,6 +55,6 @@ PRESETS: dict[str, SynthConfig] = {
     ),
     "draft": SynthConfig(),
     "balanced": SynthConfig(
-        image_size=640, supersample=3, train_images=54, train_stride=3, test_images=20, test_stride=3, cloth_spacing=0.013
+        image_size=640, supersample=3, train_images=54, train_stride=3, test_images=20, test_stride=4, cloth_spacing=0.013
     ),
 }

@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from stages.shared.meshes import edges
 from stages.synth.bodies import ShapedBody
-from stages.synth.shells import border_vertices, neighbour_mean, unique_edges
+from stages.synth.shells import border_vertices, neighbour_mean
 
 Floats = NDArray[np.float64]
 
@@ -23,10 +24,10 @@ def carry(points: Floats, faces: NDArray[np.int64], mean: ShapedBody, values: Fl
     share = 1.0 / np.maximum(distance, 1e-3) ** 2
     share /= share.sum(axis=1, keepdims=True)
     carried = np.einsum("vk,vkc->vc", share, values[usable[nearest]])
-    edges = unique_edges(faces)
-    average = neighbour_mean(len(points), edges)
+    all_edges = edges(faces)
+    average = neighbour_mean(len(points), all_edges)
     border = border_vertices(len(points), faces)
-    along = neighbour_mean(len(points), edges[border[edges].all(axis=1)])
+    along = neighbour_mean(len(points), all_edges[border[all_edges].all(axis=1)])
     for _ in range(25):
         mean_here = np.where(border[:, None], along @ carried, average @ carried)
         carried = 0.5 * carried + 0.5 * mean_here

@@ -19,7 +19,7 @@ from stages.synth.bodies import ShapedBody
 
 FPS = 30.0
 TRAINING_SECONDS = 160 / FPS
-HELD_OUT_SECONDS = 60 / FPS
+HELD_OUT_SECONDS = 80 / FPS
 
 Angles = dict[str, NDArray[np.float64]]
 Motion = Callable[[float], Angles]
@@ -38,14 +38,14 @@ def training_motion(seconds: float) -> Angles:
     _add(pose, _twist(t, 1.65, 2.75))
     _add(pose, _raise_arms(t, 2.45, 3.65))
     _add(pose, _squat(t, 3.4, 4.6))
-    turn = 360.0 * _ease((t - 4.1) / 1.2)
+    turn = 360.0 * _ease((t - 3.8) / 1.5)
     _add(pose, {"pelvis": np.array([0.0, turn, 0.0])})
     return pose
 
 
 def held_out_motion(seconds: float) -> Angles:
     """Side leg raise with a lean, a half turn, a bow: nothing of it is in the training motion."""
-    t = seconds
+    t = 0.78 * seconds
     pose = a_pose()
     side = _bump(t, 0.05, 0.85)
     _add(pose, {"left_hip": side * np.array([0, 0, 34.0]), "pelvis": side * np.array([0, 0, 5.0])})
@@ -98,8 +98,8 @@ def _walk(t: float, start: float, end: float) -> Angles:
         "right_hip": np.array([-26 * right, 0, 0]),
         "left_knee": np.array([8 + 34 * max(lift_left, 0.0) ** 2, 0, 0]),
         "right_knee": np.array([8 + 34 * max(lift_right, 0.0) ** 2, 0, 0]),
-        "left_shoulder": np.array([0, 18 * left, -8]),
-        "right_shoulder": np.array([0, -18 * right, 8]),
+        "left_shoulder": np.array([0, 18 * left, -3]),
+        "right_shoulder": np.array([0, -18 * right, 3]),
         "left_elbow": np.array([0, -14, 0]),
         "right_elbow": np.array([0, 14, 0]),
         "pelvis": np.array([0, 5 * left, 2 * np.sin(phase + 0.6)]),
@@ -121,8 +121,8 @@ def _twist(t: float, start: float, end: float) -> Angles:
 def _raise_arms(t: float, start: float, end: float) -> Angles:
     up = _bump(t, start, end)
     return {
-        "left_shoulder": up * np.array([0, -10, 92.0]),
-        "right_shoulder": up * np.array([0, 10, -92.0]),
+        "left_shoulder": up * np.array([0, -10, 80.0]),
+        "right_shoulder": up * np.array([0, 10, -80.0]),
         "left_collar": up * np.array([0, 0, 14.0]),
         "right_collar": up * np.array([0, 0, -14.0]),
         "head": up * np.array([-8.0, 0, 0]),

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.sparse import coo_matrix, csr_matrix
-from scipy.sparse.csgraph import connected_components
+
+from stages.shared.meshes import boundary_edges, components, edges, keep_faces
 
 Floats = NDArray[np.float64]
 Faces = NDArray[np.int64]
@@ -101,45 +102,31 @@ def surface_nets(level: Floats, first: Floats, spacing: float) -> tuple[Floats, 
 
 def border_vertices(count: int, faces: Faces) -> NDArray[np.bool_]:
     """(V,) True on the open border."""
-    edges, uses = np.unique(np.sort(_directed_edges(faces), axis=1), axis=0, return_counts=True)
     border = np.zeros(count, dtype=bool)
-    border[edges[uses == 1]] = True
+    border[boundary_edges(faces)] = True
     return border
 
 
-def unique_edges(faces: Faces) -> Faces:
-    """(E, 2) each undirected edge once, sorted."""
-    return np.unique(np.sort(_directed_edges(faces), axis=1), axis=0)
-
-
-def neighbour_mean(count: int, edges: Faces) -> csr_matrix:
+def neighbour_mean(count: int, pairs: NDArray[np.integer]) -> csr_matrix:
     """(V, V) matrix that averages over the neighbours of a vertex."""
-    rows, columns = np.concatenate([edges, edges[:, ::-1]]).T
+    rows, columns = np.concatenate([pairs, pairs[:, ::-1]]).T
     matrix = coo_matrix((np.ones(len(rows)), (rows, columns)), shape=(count, count)).tocsr()
     degree = np.maximum(np.asarray(matrix.sum(axis=1)).ravel(), 1.0)
     return csr_matrix(matrix.multiply(1.0 / degree[:, None]))
 
 
 def largest_piece(vertices: Floats, faces: Faces) -> tuple[Floats, Faces]:
-    """Keep the connected piece with most vertices, and only the vertices that faces use."""
-    edges = _directed_edges(faces)
-    graph = coo_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(len(vertices),) * 2)
-    piece = connected_components(graph, directed=False)[1]
-    biggest = np.bincount(piece[faces[:, 0]]).argmax()
-    faces = faces[piece[faces[:, 0]] == biggest]
-    used, inverse = np.unique(faces, return_inverse=True)
-    return vertices[used], inverse.reshape(faces.shape)
-
-
-def _directed_edges(faces: Faces) -> Faces:
-    return np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    """Keep the connected piece with most faces, and only the vertices that faces use."""
+    piece = components(faces, len(vertices))[faces[:, 0]]
+    kept, used = keep_faces(faces, piece == np.bincount(piece).argmax(), len(vertices))
+    return vertices[used], kept.astype(np.int64)
 
 
 def _without_spikes(faces: Faces) -> Faces:
     """Drop triangles that hang on by a single edge, until there are none."""
     while True:
-        edges = np.sort(_directed_edges(faces), axis=1)
-        _, inverse, uses = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
+        sides = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+        _, inverse, uses = np.unique(sides, axis=0, return_inverse=True, return_counts=True)
         shared = (uses[inverse.ravel()] > 1).reshape(3, -1).sum(axis=0)
         if np.all(shared > 1):
             return faces
@@ -148,9 +135,9 @@ def _without_spikes(faces: Faces) -> Faces:
 
 def _relax(vertices: Floats, faces: Faces, border: NDArray[np.bool_]) -> Floats:
     """Half a step towards the neighbours' mean; border vertices look at border neighbours only."""
-    edges = unique_edges(faces)
-    along = edges[border[edges].all(axis=1)]
-    mean = neighbour_mean(len(vertices), edges) @ vertices
+    all_edges = edges(faces)
+    along = all_edges[border[all_edges].all(axis=1)]
+    mean = neighbour_mean(len(vertices), all_edges) @ vertices
     mean_border = neighbour_mean(len(vertices), along) @ vertices
     target = np.where(border[:, None], mean_border, mean)
     return vertices + 0.5 * (target - vertices)

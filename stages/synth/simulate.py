@@ -75,7 +75,7 @@ def simulate(
         next_targets = [
             body.pose(one.garment.vertices, one.garment.skin_weights, transforms[frame]) for one in worn
         ]
-        _find_contacts(worn, collider, 0.5 * (surface + next_surface))
+        _find_contacts(worn, collider, surface)
         before = surface
         for step in range(1, substeps + 1):
             share = step / substeps

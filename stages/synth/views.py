@@ -9,8 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from stages.shared.capture import NO_LABEL, Camera
-from stages.shared.meshes.open3d_loader import load_open3d
-from stages.synth.cloth import area_normals
+from stages.shared.meshes import RayScene, vertex_normals
 from stages.synth.dressed import Look
 from stages.synth.patterns import fabric_color, srgb_from_linear
 
@@ -23,8 +22,8 @@ LIGHTS = np.array(
 )
 SKY, GROUND = 0.42, 0.20
 RADIUS = 3.3
-LOOK_AT = np.array([0.0, 0.97, 0.0])
-FOCAL = 1.42  # focal length over image size
+LOOK_AT = np.array([0.0, 1.0, 0.0])
+FOCAL = 1.40  # focal length over image size
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,15 +64,9 @@ class Stage:
 
     def __init__(self, look: Look, vertices: Floats, ambient_rays: int, seed: int) -> None:
         self.look = look
-        self.vertices = np.ascontiguousarray(vertices)
-        self._o3d = load_open3d()
-        self._scene = self._o3d.t.geometry.RaycastingScene()
-        self._scene.add_triangles(
-            self._o3d.core.Tensor(self.vertices.astype(np.float32)),
-            self._o3d.core.Tensor(look.faces.astype(np.uint32)),
-        )
-        self.normals = np.zeros_like(self.vertices)
-        area_normals(self.vertices, look.faces, self.normals)
+        self.vertices = vertices
+        self.scene = RayScene(vertices, look.faces)
+        self.normals = vertex_normals(vertices, look.faces).astype(np.float64)
         self.openness = self._openness(ambient_rays, seed)
 
     def picture(self, camera: Camera, supersample: int) -> View:
@@ -98,15 +91,13 @@ class Stage:
         """Premultiplied linear light (H, W, 3), coverage (H, W), label of the visible layer (H, W)."""
         fine = camera.scaled(supersample)
         origin, directions = fine.rays()
-        rays = np.empty((fine.height, fine.width, 6), np.float32)
-        rays[..., :3], rays[..., 3:] = origin, directions
-        hits = self._scene.cast_rays(self._o3d.core.Tensor(rays))
+        hits = self.scene.first_hits(origin, directions)
         light = np.zeros((camera.height, camera.width, 3))
         alpha = np.zeros((camera.height, camera.width))
         labels = np.full((camera.height, camera.width), NO_LABEL, np.uint8)
         look = self.look
         _shade_hits(
-            hits["primitive_ids"].numpy(), hits["primitive_uvs"].numpy(), directions, look.faces,
+            hits.face, hits.barycentric, directions, look.faces,
             look.face_label, look.face_fabric, look.corner_uv, look.vertex_colors, look.fabrics,
             self.normals, self.openness, LIGHTS, supersample, light, alpha, labels,
         )  # fmt: skip
@@ -120,10 +111,8 @@ class Stage:
         strength = 0.55 + 0.45 * directions[:, 1]
         facing = np.maximum(self.normals @ directions.T, 0.0) * strength  # (V, R)
         vertex, ray = np.nonzero(facing > 0.02)
-        rays = np.empty((len(vertex), 6), np.float32)
-        rays[:, :3] = self.vertices[vertex] + 0.004 * self.normals[vertex]
-        rays[:, 3:] = directions[ray]
-        blocked = self._scene.test_occlusions(self._o3d.core.Tensor(rays)).numpy()
+        starts = self.vertices[vertex] + 0.004 * self.normals[vertex]
+        blocked = self.scene.first_hits(starts, directions[ray]).hit
         weight = facing[vertex, ray]
         total = np.bincount(vertex, weight, len(self.vertices))
         seen = np.bincount(vertex, weight * ~blocked, len(self.vertices))
@@ -141,12 +130,11 @@ def _sphere(count: int, seed: int) -> Floats:
 
 @njit(cache=True, nogil=True)
 def _shade_hits(  # type: ignore[no-untyped-def]
-    ids, uvs, directions, faces, face_label, face_fabric, corner_uv, vertex_colors, fabrics,
+    face_ids, barycentric, directions, faces, face_label, face_fabric, corner_uv, vertex_colors, fabrics,
     normals, openness, lights, supersample, light, alpha, labels,
 ):
     """Average the rays of each pixel; label by majority, none where less than half is covered."""
     rays_per_pixel = supersample * supersample
-    miss = np.uint32(0xFFFFFFFF)
     albedo, normal, votes = np.zeros(3), np.zeros(3), np.zeros(256, np.int64)
     for row in range(light.shape[0]):
         for column in range(light.shape[1]):
@@ -155,14 +143,13 @@ def _shade_hits(  # type: ignore[no-untyped-def]
             for sub in range(rays_per_pixel):
                 y = row * supersample + sub // supersample
                 x = column * supersample + sub % supersample
-                face = ids[y, x]
-                if face == miss:
+                face = face_ids[y, x]
+                if face < 0:
                     continue
                 covered += 1
                 votes[face_label[face]] += 1
                 a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
-                wb, wc = uvs[y, x, 0], uvs[y, x, 1]
-                wa = 1.0 - wb - wc
+                wa, wb, wc = barycentric[y, x, 0], barycentric[y, x, 1], barycentric[y, x, 2]
                 facing, size = 0.0, 1e-20
                 for k in range(3):
                     normal[k] = wa * normals[a, k] + wb * normals[b, k] + wc * normals[c, k]

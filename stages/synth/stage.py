@@ -1,0 +1,205 @@
+"""`gw synth`: two synthetic people in multi-view video, and the truth of one wearing the other's skirt.
+
+Reads nothing. Writes, under the output folder:
+    subject_1, subject_2   native captures with the takes `train` and `held_out` (images, masks, labels, exact
+                           `smpl_params.npz`, `scan.ply` of frame 0, `gt/meshes.npz` simulated garments)
+    tryon_truth            native capture, take `held_out` (split test): subject 2 in subject 1's skirt
+    motions/held_out.npz   the poses of that take, 30 frames/s, layout of `smpl_params.npz`
+World: metres, y up, the floor is y = 0. All poses are at 30 frames/s; every few frames have images.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.shared.artifacts.files import write_whole
+from stages.shared.body import Poses, embedded_body
+from stages.shared.capture import NativeWriter, native_writer
+from stages.shared.plan import Plan
+from stages.shared.report import SILENT, Report
+from stages.synth import motion
+from stages.synth.bodies import PERSON_1, PERSON_2, Person, ShapedBody, betas_of
+from stages.synth.cloth import cloth_model, stretch_of
+from stages.synth.config import SynthConfig
+from stages.synth.dressed import accessories, look_of, vertices_at
+from stages.synth.garments import Garment, fit, wardrobe
+from stages.synth.simulate import simulate
+from stages.synth.truth import garment_truth, scan
+from stages.synth.views import Stage, camera_ring
+
+WORKERS = 2
+TRAIN, HELD_OUT = "train", "held_out"
+
+
+@dataclass(frozen=True)
+class SynthResult:
+    """Where the captures are, and a few numbers to judge them by."""
+
+    captures: dict[str, Path]
+    motion: Path
+    summary: dict[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Outfit:
+    """One person in a set of garments, inner layer first."""
+
+    person: Person
+    body: ShapedBody
+    garments: list[Garment]
+
+
+@dataclass(frozen=True, eq=False)
+class Take:
+    """An outfit in a motion: T frames of poses and cloth, and the frames that get images."""
+
+    capture: str
+    name: str
+    outfit: Outfit
+    poses: Poses
+    frames: list[int]
+    cloth: list[NDArray[np.float32]]
+
+
+def plan(output: Path, config: SynthConfig = SynthConfig()) -> Plan:
+    """What `run` would write and cost."""
+    views = (2 * config.train_images + 3 * config.test_images) * (config.cameras + 1)
+    rays = views * (config.image_size * config.supersample) ** 2
+    frames = 2 * config.train_images * config.train_stride + 3 * config.test_images * config.test_stride
+    cloth = frames * 1.4e-7 / config.cloth_spacing**2 * config.substeps
+    return Plan(
+        inputs=[],
+        outputs=[f"{output}/{name}" for name in ("subject_1", "subject_2", "tryon_truth", "motions/held_out.npz")],
+        config=asdict(config),
+        seconds=15 + 0.6 * cloth + 5e-8 * rays + 0.02 * views,
+        memory_bytes=900 << 20,
+        disk_bytes=int(views * (4000 + 0.22 * config.image_size**2)) + (12 << 20),
+    )
+
+
+def run(output: Path, config: SynthConfig = SynthConfig(), report: Report = SILENT) -> SynthResult:
+    """Make both captures and the truth of the try-on (see the module's text)."""
+    report.step("cutting garments")
+    mean = ShapedBody(embedded_body(), np.zeros(10, dtype=np.float32))
+    first, second, swapped = outfits(mean, config)
+
+    report.step("simulating cloth")
+    jobs = [
+        ("subject_1", TRAIN, first),
+        ("subject_1", HELD_OUT, first),
+        ("subject_2", TRAIN, second),
+        ("subject_2", HELD_OUT, second),
+        ("tryon_truth", HELD_OUT, swapped),
+    ]
+    takes = _parallel(lambda job: _simulated(*job, config), sorted(jobs, key=_longest_first), report)
+
+    report.step("rendering views")
+    captures = {}
+    for capture in ("subject_1", "subject_2", "tryon_truth"):
+        captures[capture] = output / capture
+        own = sorted((take for take in takes if take.capture == capture), key=lambda take: take.name != TRAIN)
+        _write_capture(captures[capture], own, mean, config, report)
+
+    worn = next(take for take in takes if take.capture == "tryon_truth")
+    motion_path = output / "motions" / "held_out.npz"
+    write_whole(motion_path, worn.poses.to_npz_bytes())
+    return SynthResult(captures, motion_path, _summary(takes, config))
+
+
+def outfits(mean: ShapedBody, config: SynthConfig) -> tuple[Outfit, Outfit, Outfit]:
+    """Subject 1, subject 2, and subject 2 in its own T-shirt and subject 1's skirt."""
+    patterns_1, patterns_2 = wardrobe(mean, config.cloth_spacing, config.seed)
+    body_1 = ShapedBody(mean.model, betas_of(mean.model, PERSON_1))
+    body_2 = ShapedBody(mean.model, betas_of(mean.model, PERSON_2))
+    first = Outfit(PERSON_1, body_1, [fit(pattern, mean, body_1) for pattern in patterns_1])
+    second = Outfit(PERSON_2, body_2, [fit(pattern, mean, body_2) for pattern in patterns_2])
+    skirt = fit(patterns_1[0], mean, body_2)
+    upper = next(garment for garment in second.garments if garment.layer == "upper")
+    return first, second, Outfit(PERSON_2, body_2, [skirt, upper])
+
+
+def _simulated(capture: str, name: str, outfit: Outfit, config: SynthConfig) -> Take:
+    training = name == TRAIN
+    images = config.train_images if training else config.test_images
+    stride = config.train_stride if training else config.test_stride
+    # Training starts with the clean A-pose; the held-out take leaves that pose out.
+    frames = [stride * index + (0 if training else stride - 1) for index in range(images)]
+    moves = motion.training_motion if training else motion.held_out_motion
+    poses = motion.poses_of(moves, images * stride, outfit.body)
+    cloth = simulate(outfit.body, outfit.garments, poses, config.settle_frames, config.substeps)
+    return Take(capture, name, outfit, poses, frames, cloth)
+
+
+def _write_capture(path: Path, takes: list[Take], mean: ShapedBody, config: SynthConfig, report: Report) -> None:
+    """One native capture, whole or absent."""
+    cameras, held_out = camera_ring(config.cameras, config.image_size)
+    outfit = takes[0].outfit
+    bound = accessories(mean, outfit.body, outfit.person)
+    look = look_of(outfit.body, outfit.person, bound, outfit.garments)
+    with native_writer(path, cameras, [held_out]) as writer:
+        writer.notes.update(_about(outfit, config))
+        for take in takes:
+            folder = writer.take(take.name, "train" if take.name == TRAIN else "test", take.poses, take.frames[0])
+            folder.extra("gt/meshes.npz", garment_truth(take.outfit.garments, take.cloth, take.frames))
+            if take.name == TRAIN:
+                folder.scan(scan(look, vertices_at(take.frames[0], outfit.body, take.poses, bound, take.cloth)))
+
+            def render(frame: int, take: Take = take, folder: Any = folder) -> None:
+                vertices = vertices_at(frame, take.outfit.body, take.poses, bound, take.cloth)
+                stage = Stage(look, vertices, config.ambient_rays, config.seed)
+                for camera in cameras:
+                    view = stage.picture(camera, config.supersample)
+                    folder.view(camera.name, frame, view.image, view.mask, view.labels, jpeg=config.jpeg)
+
+            _parallel(render, take.frames, report)
+
+
+def _parallel(work: Callable[[Any], Any], items: list[Any], report: Report) -> list[Any]:
+    """Results in the order of the items; the compiled work runs outside the interpreter lock."""
+    results = []
+    with ThreadPoolExecutor(WORKERS) as pool:
+        for done, result in enumerate(pool.map(work, items), start=1):
+            results.append(result)
+            report.progress(done, len(items))
+    return results
+
+
+def _longest_first(job: tuple[str, str, Outfit]) -> tuple[bool, int]:
+    return job[1] != TRAIN, -len(job[2].garments)
+
+
+def _about(outfit: Outfit, config: SynthConfig) -> dict[str, Any]:
+    return {
+        "source": "gw synth",
+        "body_model_digest": outfit.body.model.digest,
+        "garments": {garment.layer: garment.name for garment in outfit.garments},
+        "config": asdict(config),
+    }
+
+
+def _summary(takes: list[Take], config: SynthConfig) -> dict[str, Any]:
+    stretches = []
+    for take in takes:
+        for garment, positions in zip(take.outfit.garments, take.cloth, strict=True):
+            model = cloth_model(garment.vertices, garment.faces)
+            stretches.append(np.concatenate([stretch_of(model, positions[frame]) for frame in take.frames]))
+    count = {take.capture + "/" + take.name: len(take.frames) for take in takes}
+    return {
+        "frames": count,
+        "views": sum(count.values()) * (config.cameras + 1),
+        "image_size": config.image_size,
+        "cloth_vertices": {
+            f"{take.capture} {garment.layer}": len(garment.vertices)
+            for take in takes
+            for garment in take.outfit.garments
+            if take.name == HELD_OUT
+        },
+        "stretch_99_percent": float(np.percentile(np.concatenate(stretches), 99)),
+    }

@@ -1,0 +1,1 @@
+"""Compiled pieces of the CPU backend; `cpu.py` calls them in order."""

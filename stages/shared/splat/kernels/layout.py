@@ -1,0 +1,69 @@
+"""How pixels and Gaussians lie in memory; the same for all kernels.
+
+The image is cut into tiles of 16 x 16 px, a tile into blocks as large as one register: 4 px wide, and 4 px
+high with sixteen lanes or 2 px with eight. Squarish blocks waste fewer lanes on small Gaussians than rows do.
+A list entry (tile, Gaussian) carries one bit per block of the tile, so that empty blocks cost nothing.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import llvmlite.binding
+import numpy as np
+
+TILE = 16
+TILE_SHIFT = 4
+TILE_PIXELS = TILE * TILE
+BLOCK_WIDTH = 4
+BLOCK_WIDTH_SHIFT = 2
+BLOCKS_ACROSS = TILE // BLOCK_WIDTH
+
+# A record is what blending needs of one Gaussian, float32:
+# centre (px), u = UX dx + UY dy and v = VY dy (alpha = 2^(LOG_OPACITY - u^2 - v^2)), layer, depth, colours.
+CENTER_X, CENTER_Y, UX, UY, VY, LOG_OPACITY, LAYER, DEPTH, COLOR = range(9)
+
+# A gradient slot holds sums over the pixels of one tile for one Gaussian, h = d(loss)/d(alpha) alpha:
+# h, h u, h u dx, h u dy, h dy, h dy^2, then d(loss)/d(depth) and d(loss)/d(colours).
+SUM_H, SUM_HU, SUM_HUX, SUM_HUY, SUM_HY, SUM_HYY, SUM_DEPTH, SUM_COLOR = range(8)
+
+GROUP = 64
+"""Gaussians that projection handles at once: enough to amortise the transposition, small enough for L1."""
+
+GROUPS_PER_TURN = 4
+"""Groups a thread takes at a time."""
+
+SPECIALISED_CHANNELS = (1, 3, 4, 7)
+"""Channel counts with code of their own; others share one general version."""
+
+
+@functools.cache
+def host_lanes() -> int:
+    """Float lanes of the host's registers: 16 with AVX-512, else 8 (LLVM splits them where it must)."""
+    return 16 if llvmlite.binding.get_host_cpu_features().get("avx512f") else 8
+
+
+def lanes_argument(count: int) -> tuple[int, ...]:
+    """The `lanes` argument of a kernel."""
+    return (0,) * count
+
+
+def size_argument(count: int, specialised: bool) -> tuple[int, ...] | int:
+    """A size the compiler knows, or one it does not."""
+    return (0,) * count if specialised else count
+
+
+def record_length(channels: int) -> int:
+    """Floats per record: whole cache lines."""
+    return -(-(COLOR + channels) // 16) * 16
+
+
+def slot_length(channels: int, lanes: int) -> int:
+    """Floats per gradient slot: whole registers."""
+    return -(-(SUM_COLOR + channels) // lanes) * lanes
+
+
+def ramps(lanes: int) -> np.ndarray:
+    """Pixel centre of every lane relative to its block: (2 * lanes,) float32, all x then all y."""
+    lane = np.arange(lanes)
+    return np.concatenate([lane % BLOCK_WIDTH + 0.5, lane // BLOCK_WIDTH + 0.5]).astype(np.float32)

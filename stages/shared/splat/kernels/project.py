@@ -1,0 +1,542 @@
+"""Projection of Gaussians, forward and backward, eight at a time in float64.
+
+Doubles, because needles (one axis ten thousand times the other) lose all digits of their 2-D determinant in
+float32, and because a vector of doubles costs little beside the memory traffic. Each group of Gaussians is
+transposed into a table (one row per quantity) that stays in L1; the mathematics then runs along the rows.
+Formulas: Zwicker et al. 2001 (EWA splatting); the names are those of `reference.py`.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from stages.shared.splat.kernels.lanes import (
+    floor,
+    fma,
+    load,
+    maximum,
+    minimum,
+    root,
+    split_exponent,
+    store,
+    take,
+    total,
+    where,
+)
+from stages.shared.splat.kernels.layout import (
+    CENTER_X,
+    CENTER_Y,
+    COLOR,
+    DEPTH,
+    GROUP,
+    GROUPS_PER_TURN,
+    LAYER,
+    LOG_OPACITY,
+    SUM_COLOR,
+    SUM_DEPTH,
+    SUM_H,
+    SUM_HU,
+    SUM_HUX,
+    SUM_HUY,
+    SUM_HY,
+    SUM_HYY,
+    TILE_SHIFT,
+    UX,
+    UY,
+    VY,
+)
+from stages.shared.splat.settings import ALPHA_MIN
+
+# mypy: disable-error-code="no-untyped-def"
+
+# A camera is 24 doubles: R (9), t (3), fx fy cx cy, limits of x/z and y/z (4), near, far, eps2d, antialiased.
+R, T, FX, FY, CX, CY, LEFT, RIGHT, TOP, BOTTOM, NEAR, FAR, EPS2D, ANTIALIASED = (
+    0, 9, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 23,
+)  # fmt: skip
+CAMERA_LENGTH = 24
+CAMERA_GRADIENTS = 16
+"""Gradients of R, t and fx fy cx cy come back in this order."""
+
+WIDE = 8
+_LANES = (0,) * WIDE
+HALF_LOG2E = 0.5 * math.log2(math.e)
+_LOG2_CUT = math.log2(ALPHA_MIN)
+_MARGIN = 1e-3
+"""px added to every side of the box, for the rounding of records to float32."""
+
+# Rows of the table. Input, then (forward) output.
+_MEAN, _SHAPE, _OPACITY = 0, 3, 10
+_OUT = 11
+_O_X, _O_Y, _O_UX, _O_UY, _O_VY, _O_LOG, _O_DEPTH, _O_LEFT, _O_TOP, _O_RIGHT, _O_BOTTOM = range(
+    _OUT, _OUT + 11
+)
+_FORWARD_ROWS = _OUT + 11
+# Backward: sums of the slots, then the gradients.
+_SUMS = 11
+_G_MEAN = _SUMS + SUM_COLOR
+_G_SHAPE = _G_MEAN + 3
+_G_OPACITY = _G_SHAPE + 7
+_BACKWARD_ROWS = _G_OPACITY + 1
+
+
+@njit(forceinline=True)
+def _row(table, row, at):
+    return load(table, row * GROUP + at, _LANES)
+
+
+@njit(forceinline=True)
+def _set(table, row, at, value):
+    store(table, row * GROUP + at, value)
+
+
+@njit(forceinline=True)
+def _log2(a):
+    """log2 of positive normal doubles, error under 1e-12: 2 atanh(s) / ln 2 with s = (m - 1) / (m + 1)."""
+    mantissa, exponent = split_exponent(a)
+    high = mantissa > 1.4142135623730951
+    mantissa = where(high, mantissa * 0.5, mantissa)
+    exponent = where(high, exponent + 1.0, exponent)
+    s = (mantissa - 1.0) / (mantissa + 1.0)
+    s2 = s * s
+    series = fma(
+        s2, fma(s2, fma(s2, fma(s2, fma(s2, fma(s2, 1 / 13, 1 / 11), 1 / 9), 1 / 7), 1 / 5), 1 / 3), 1.0
+    )
+    return fma(s * series, 2.0 / math.log(2.0), exponent)
+
+
+@njit(forceinline=True)
+def _gather(table, group, count, means, quats, scales, covars, opacities):
+    """Transpose `count` Gaussians into the table; the last one fills up the rest of the group."""
+    for j in range(GROUP):
+        g = group + min(j, count - 1)
+        for k in range(3):
+            table[(_MEAN + k) * GROUP + j] = means[g, k]
+        # Two tests, not one with an else: what is None is then left out when compiling.
+        if quats is not None:
+            for k in range(4):
+                table[(_SHAPE + k) * GROUP + j] = quats[g, k]
+            for k in range(3):
+                table[(_SHAPE + 4 + k) * GROUP + j] = scales[g, k]
+        if covars is not None:
+            table[_SHAPE * GROUP + j] = covars[g, 0, 0]
+            table[(_SHAPE + 1) * GROUP + j] = 0.5 * (
+                np.float64(covars[g, 0, 1]) + np.float64(covars[g, 1, 0])
+            )
+            table[(_SHAPE + 2) * GROUP + j] = 0.5 * (
+                np.float64(covars[g, 0, 2]) + np.float64(covars[g, 2, 0])
+            )
+            table[(_SHAPE + 3) * GROUP + j] = covars[g, 1, 1]
+            table[(_SHAPE + 4) * GROUP + j] = 0.5 * (
+                np.float64(covars[g, 1, 2]) + np.float64(covars[g, 2, 1])
+            )
+            table[(_SHAPE + 5) * GROUP + j] = covars[g, 2, 2]
+        table[_OPACITY * GROUP + j] = opacities[g]
+
+
+@njit(forceinline=True)
+def _rotation(table, at):
+    """Unit quaternion (w x y z), 1 / length of the given one, and the nine entries of its matrix."""
+    w, x, y, z = (
+        _row(table, _SHAPE, at),
+        _row(table, _SHAPE + 1, at),
+        _row(table, _SHAPE + 2, at),
+        _row(table, _SHAPE + 3, at),
+    )
+    inverse = 1.0 / root(w * w + x * x + y * y + z * z)
+    w, x, y, z = w * inverse, x * inverse, y * inverse, z * inverse
+    matrix = (
+        1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y),
+        2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x),
+        2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y),
+    )  # fmt: skip
+    return (w, x, y, z), inverse, matrix
+
+
+@njit(forceinline=True)
+def _covariance(table, at, covars):
+    """Entries xx xy xz yy yz zz of the covariance in the world."""
+    if covars is None:
+        _, _, m = _rotation(table, at)
+        a, b, c = _row(table, _SHAPE + 4, at), _row(table, _SHAPE + 5, at), _row(table, _SHAPE + 6, at)
+        a, b, c = a * a, b * b, c * c
+        return (
+            a * m[0] * m[0] + b * m[1] * m[1] + c * m[2] * m[2],
+            a * m[0] * m[3] + b * m[1] * m[4] + c * m[2] * m[5],
+            a * m[0] * m[6] + b * m[1] * m[7] + c * m[2] * m[8],
+            a * m[3] * m[3] + b * m[4] * m[4] + c * m[5] * m[5],
+            a * m[3] * m[6] + b * m[4] * m[7] + c * m[5] * m[8],
+            a * m[6] * m[6] + b * m[7] * m[7] + c * m[8] * m[8],
+        )
+    return (
+        _row(table, _SHAPE, at), _row(table, _SHAPE + 1, at), _row(table, _SHAPE + 2, at),
+        _row(table, _SHAPE + 3, at), _row(table, _SHAPE + 4, at), _row(table, _SHAPE + 5, at),
+    )  # fmt: skip
+
+
+@njit(forceinline=True)
+def _to_camera(table, at, camera):
+    """Camera coordinates X Y Z of the means."""
+    x, y, z = _row(table, _MEAN, at), _row(table, _MEAN + 1, at), _row(table, _MEAN + 2, at)
+    return (
+        x * camera[0] + y * camera[1] + z * camera[2] + camera[9],
+        x * camera[3] + y * camera[4] + z * camera[5] + camera[10],
+        x * camera[6] + y * camera[7] + z * camera[8] + camera[11],
+    )
+
+
+@njit(forceinline=True)
+def _product(covariance, vector):
+    """Symmetric 3 x 3 (six entries) times a vector."""
+    xx, xy, xz, yy, yz, zz = covariance
+    a, b, c = vector
+    return a * xx + b * xy + c * xz, a * xy + b * yy + c * yz, a * xz + b * yz + c * zz
+
+
+@njit(forceinline=True)
+def _dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@njit(forceinline=True)
+def _planar_rows(camera, inverse_z, u, v):
+    """The two rows of J W: how a step in the world moves the projection."""
+    scale_x, scale_y = inverse_z * camera[FX], inverse_z * camera[FY]
+    row_x = (
+        scale_x * (camera[0] - u * camera[6]),
+        scale_x * (camera[1] - u * camera[7]),
+        scale_x * (camera[2] - u * camera[8]),
+    )
+    row_y = (
+        scale_y * (camera[3] - v * camera[6]),
+        scale_y * (camera[4] - v * camera[7]),
+        scale_y * (camera[5] - v * camera[8]),
+    )
+    return row_x, row_y
+
+
+@njit(forceinline=True)
+def _narrow(xx, xy, yy):
+    """Limit the off-diagonal entry to what a covariance can have; also whether it was within."""
+    limit = root(xx * yy)
+    within = (xy <= limit) & (xy >= 0.0 - limit)
+    return minimum(maximum(xy, 0.0 - limit), limit), within
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def project(
+    turn, means, quats, scales, covars, opacities, colors, layer_ids, camera, width, height,
+    records, stride, boxes, depths, counts,
+):  # fmt: skip
+    """Gaussians -> records, boxes (4N,) uint16 px inclusive, depths (N,) m, counts (N,) of tiles, 0 if unseen.
+
+    Either quats (N, 4) and scales (N, 3), or covars (N, 3, 3); the others None. layer_ids (N,) or None.
+    """
+    n, channels = len(means), colors.shape[1]
+    table = np.empty(_FORWARD_ROWS * GROUP, np.float64)
+    per_turn = GROUP * GROUPS_PER_TURN
+    while True:
+        begin = take(turn) * per_turn
+        if begin >= n:
+            break
+        for group in range(begin, min(begin + per_turn, n), GROUP):
+            count = min(GROUP, n - group)
+            _gather(table, group, count, means, quats, scales, covars, opacities)
+            for at in range(0, GROUP, WIDE):
+                _project_lanes(table, at, camera, covars, width, height)
+            for j in range(count):
+                g = group + j
+                counts[g] = 0
+                if not table[_O_LEFT * GROUP + j] <= table[_O_RIGHT * GROUP + j]:
+                    continue
+                record = g * stride
+                records[record + CENTER_X] = table[_O_X * GROUP + j]
+                records[record + CENTER_Y] = table[_O_Y * GROUP + j]
+                records[record + UX] = table[_O_UX * GROUP + j]
+                records[record + UY] = table[_O_UY * GROUP + j]
+                records[record + VY] = table[_O_VY * GROUP + j]
+                records[record + LOG_OPACITY] = table[_O_LOG * GROUP + j]
+                records[record + DEPTH] = table[_O_DEPTH * GROUP + j]
+                if layer_ids is not None:
+                    records[record + LAYER] = layer_ids[g]
+                for c in range(channels):
+                    records[record + COLOR + c] = colors[g, c]
+                depths[g] = table[_O_DEPTH * GROUP + j]
+                left, top = int(table[_O_LEFT * GROUP + j]), int(table[_O_TOP * GROUP + j])
+                right, bottom = int(table[_O_RIGHT * GROUP + j]), int(table[_O_BOTTOM * GROUP + j])
+                boxes[4 * g], boxes[4 * g + 1], boxes[4 * g + 2], boxes[4 * g + 3] = left, top, right, bottom
+                across = (right >> TILE_SHIFT) - (left >> TILE_SHIFT) + 1
+                counts[g] = across * ((bottom >> TILE_SHIFT) - (top >> TILE_SHIFT) + 1)
+
+
+@njit(forceinline=True)
+def _project_lanes(table, at, camera, covars, width, height):
+    x, y, z = _to_camera(table, at, camera)
+    inside = (z > camera[NEAR]) & (z < camera[FAR])
+    inverse_z = 1.0 / where(inside, z, 1.0)
+    u, v = x * inverse_z, y * inverse_z
+    center_x, center_y = u * camera[FX] + camera[CX], v * camera[FY] + camera[CY]
+    u = minimum(maximum(u, camera[LEFT]), camera[RIGHT])
+    v = minimum(maximum(v, camera[TOP]), camera[BOTTOM])
+    row_x, row_y = _planar_rows(camera, inverse_z, u, v)
+    covariance = _covariance(table, at, covars)
+    through_x, through_y = _product(covariance, row_x), _product(covariance, row_y)
+    sharp_xx, sharp_yy = maximum(_dot(row_x, through_x), 0.0), maximum(_dot(row_y, through_y), 0.0)
+    xy, _ = _narrow(sharp_xx, _dot(row_x, through_y), sharp_yy)
+    xx, yy = sharp_xx + camera[EPS2D], sharp_yy + camera[EPS2D]
+    determinant = xx * yy - xy * xy
+    opacity = _row(table, _OPACITY, at)
+    if camera[ANTIALIASED] > 0:
+        opacity = opacity * root(maximum(sharp_xx * sharp_yy - xy * xy, 0.0) / determinant)
+    log_opacity = _log2(maximum(opacity, 1e-30))
+    # u^2 + v^2 <= reach is the ellipse on which alpha falls to the cut.
+    reach = log_opacity - _LOG2_CUT
+    sides = maximum(reach, 0.0) * (1.0 / HALF_LOG2E)
+    across, down = root(sides * xx) + _MARGIN, root(sides * yy) + _MARGIN
+    left = maximum(0.0 - floor(0.0 - (center_x - across - 0.5)), 0.0)
+    right = minimum(floor(center_x + across - 0.5), width - 1.0)
+    top = maximum(0.0 - floor(0.0 - (center_y - down - 0.5)), 0.0)
+    bottom = minimum(floor(center_y + down - 0.5), height - 1.0)
+    seen = inside & (reach >= 0.0) & (left <= right) & (top <= bottom)
+    _set(table, _O_X, at, minimum(maximum(center_x, -1e30), 1e30))
+    _set(table, _O_Y, at, minimum(maximum(center_y, -1e30), 1e30))
+    shared = root(HALF_LOG2E / (determinant * yy))
+    _set(table, _O_UX, at, yy * shared)
+    _set(table, _O_UY, at, 0.0 - xy * shared)
+    _set(table, _O_VY, at, root(HALF_LOG2E / yy))
+    _set(table, _O_LOG, at, log_opacity)
+    _set(table, _O_DEPTH, at, z)
+    _set(table, _O_LEFT, at, where(seen, left, 1.0))
+    _set(table, _O_RIGHT, at, where(seen, right, 0.0))
+    _set(table, _O_TOP, at, top)
+    _set(table, _O_BOTTOM, at, bottom)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def project_backward(
+    turn, means, quats, scales, covars, opacities, camera, counts, first_slots, slots, blocks, sums, slot_stride,
+    add, g_means, g_quats, g_scales, g_covars, g_opacities, g_colors, g_camera,
+):  # fmt: skip
+    """Sum every Gaussian's slots, in order of its tiles, and carry the sums back to the inputs.
+
+    add: add to the gradients (second camera and later) instead of writing them. g_camera (turns, 16): each
+    turn's share of the camera's gradients, to be summed in order by the caller.
+    """
+    n, channels = len(means), g_colors.shape[1]
+    table = np.zeros(_BACKWARD_ROWS * GROUP, np.float64)
+    colour = np.empty(channels, np.float32)
+    per_turn = GROUP * GROUPS_PER_TURN
+    while True:
+        mine = take(turn)
+        begin = mine * per_turn
+        if begin >= n:
+            break
+        g_camera[mine] = 0.0
+        for group in range(begin, min(begin + per_turn, n), GROUP):
+            count = min(GROUP, n - group)
+            _gather(table, group, count, means, quats, scales, covars, opacities)
+            any_seen = False
+            for j in range(GROUP):
+                for k in range(SUM_COLOR):
+                    table[(_SUMS + k) * GROUP + j] = 0.0
+                if j >= count:
+                    continue
+                g = group + j
+                colour[:] = 0.0
+                if counts[g] > 0:
+                    any_seen = True
+                    for slot in range(first_slots[g], first_slots[g + 1]):
+                        entry = np.int64(slots[slot])
+                        if blocks[entry] == 0:
+                            continue
+                        place = entry * slot_stride
+                        for k in range(SUM_COLOR):
+                            table[(_SUMS + k) * GROUP + j] += sums[place + k]
+                        for c in range(channels):
+                            colour[c] += sums[place + SUM_COLOR + c]
+                if add:
+                    for c in range(channels):
+                        g_colors[g, c] += colour[c]
+                else:
+                    for c in range(channels):
+                        g_colors[g, c] = colour[c]
+            if any_seen:
+                for at in range(0, GROUP, WIDE):
+                    _project_lanes_backward(table, at, camera, covars, g_camera, mine)
+            elif not add:
+                table[_G_MEAN * GROUP :] = 0.0
+            if any_seen or not add:
+                _scatter(table, group, count, add, g_means, g_quats, g_scales, g_covars, g_opacities)
+
+
+@njit(forceinline=True)
+def _scatter(table, group, count, add, g_means, g_quats, g_scales, g_covars, g_opacities):
+    """The table's gradients to their rows; a covariance's in full, symmetric."""
+    for j in range(count):
+        g = group + j
+        for k in range(3):
+            old = g_means[g, k] if add else np.float32(0.0)
+            g_means[g, k] = old + np.float32(table[(_G_MEAN + k) * GROUP + j])
+        old = g_opacities[g] if add else np.float32(0.0)
+        g_opacities[g] = old + np.float32(table[_G_OPACITY * GROUP + j])
+        if g_quats is not None:
+            for k in range(4):
+                old = g_quats[g, k] if add else np.float32(0.0)
+                g_quats[g, k] = old + np.float32(table[(_G_SHAPE + k) * GROUP + j])
+            for k in range(3):
+                old = g_scales[g, k] if add else np.float32(0.0)
+                g_scales[g, k] = old + np.float32(table[(_G_SHAPE + 4 + k) * GROUP + j])
+        if g_covars is not None:
+            place = 0
+            for row in range(3):
+                for column in range(row, 3):
+                    value = np.float32(table[(_G_SHAPE + place) * GROUP + j])
+                    old = g_covars[g, row, column] if add else np.float32(0.0)
+                    g_covars[g, row, column] = old + value
+                    g_covars[g, column, row] = g_covars[g, row, column]
+                    place += 1
+
+
+@njit(forceinline=True)
+def _project_lanes_backward(table, at, camera, covars, g_camera, mine):
+    # Forward again, as far as needed.
+    x, y, z = _to_camera(table, at, camera)
+    inside = (z > camera[NEAR]) & (z < camera[FAR])
+    inverse_z = 1.0 / where(inside, z, 1.0)
+    raw_u, raw_v = x * inverse_z, y * inverse_z
+    u = minimum(maximum(raw_u, camera[LEFT]), camera[RIGHT])
+    v = minimum(maximum(raw_v, camera[TOP]), camera[BOTTOM])
+    row_x, row_y = _planar_rows(camera, inverse_z, u, v)
+    covariance = _covariance(table, at, covars)
+    through_x, through_y = _product(covariance, row_x), _product(covariance, row_y)
+    sharp_xx, sharp_yy = maximum(_dot(row_x, through_x), 0.0), maximum(_dot(row_y, through_y), 0.0)
+    xy, within = _narrow(sharp_xx, _dot(row_x, through_y), sharp_yy)
+    xx, yy = sharp_xx + camera[EPS2D], sharp_yy + camera[EPS2D]
+    inverse_det = 1.0 / (xx * yy - xy * xy)
+    shared = root(inverse_det * HALF_LOG2E / yy)
+    ux, uy, vy2 = yy * shared, 0.0 - xy * shared, HALF_LOG2E / yy
+
+    # Sums over pixels -> centre and 2-D covariance. ln 2 because alpha = 2^(...).
+    ln2 = math.log(2.0)
+    sum_h = _row(table, _SUMS + SUM_H, at)
+    sum_hu = _row(table, _SUMS + SUM_HU, at) * (2.0 * ln2)
+    g_center_x = sum_hu * ux
+    g_center_y = sum_hu * uy + _row(table, _SUMS + SUM_HY, at) * vy2 * (2.0 * ln2)
+    g_ux = _row(table, _SUMS + SUM_HUX, at) * (-2.0 * ln2)
+    g_uy = _row(table, _SUMS + SUM_HUY, at) * (-2.0 * ln2)
+    g_vy_vy = _row(table, _SUMS + SUM_HYY, at) * vy2 * (-2.0 * ln2)
+    # u's coefficients are ux = sqrt(k yy / det), uy = -xy sqrt(k / (yy det)); v's is vy = sqrt(k / yy).
+    along = g_ux * ux + g_uy * uy
+    g_xx = along * yy * inverse_det * -0.5
+    g_xy = along * xy * inverse_det - g_uy * shared
+    g_yy = (
+        g_ux * ux * xy * xy * inverse_det * -0.5 / yy
+        - g_uy * uy * 0.5 * (1.0 / yy + xx * inverse_det)
+        - g_vy_vy * 0.5 / yy
+    )
+    if camera[ANTIALIASED] > 0:
+        sharp = sharp_xx * sharp_yy - xy * xy
+        inverse_sharp = where(sharp > 0.0, 1.0 / maximum(sharp, 1e-300), 0.0)
+        half = sum_h * 0.5
+        g_xx = g_xx + half * (sharp_yy * inverse_sharp - yy * inverse_det)
+        g_yy = g_yy + half * (sharp_xx * inverse_sharp - xx * inverse_det)
+        g_xy = g_xy - sum_h * xy * (inverse_sharp - inverse_det)
+    g_xy = where(within, g_xy, 0.0)
+    opacity = _row(table, _OPACITY, at)
+    _set(table, _G_OPACITY, at, where(opacity > 0.0, sum_h / maximum(opacity, 1e-30), 0.0))
+
+    # 2-D covariance = (rows of J W) V (rows)^T -> V, and the rows.
+    g_row_x = (
+        2.0 * g_xx * through_x[0] + g_xy * through_y[0],
+        2.0 * g_xx * through_x[1] + g_xy * through_y[1],
+        2.0 * g_xx * through_x[2] + g_xy * through_y[2],
+    )
+    g_row_y = (
+        2.0 * g_yy * through_y[0] + g_xy * through_x[0],
+        2.0 * g_yy * through_y[1] + g_xy * through_x[1],
+        2.0 * g_yy * through_y[2] + g_xy * through_x[2],
+    )
+    half_xy = g_xy * 0.5
+    cross_x = (
+        g_xx * row_x[0] + half_xy * row_y[0],
+        g_xx * row_x[1] + half_xy * row_y[1],
+        g_xx * row_x[2] + half_xy * row_y[2],
+    )
+    cross_y = (
+        half_xy * row_x[0] + g_yy * row_y[0],
+        half_xy * row_x[1] + g_yy * row_y[1],
+        half_xy * row_x[2] + g_yy * row_y[2],
+    )
+    g_covariance = (
+        row_x[0] * cross_x[0] + row_y[0] * cross_y[0],
+        row_x[0] * cross_x[1] + row_y[0] * cross_y[1],
+        row_x[0] * cross_x[2] + row_y[0] * cross_y[2],
+        row_x[1] * cross_x[1] + row_y[1] * cross_y[1],
+        row_x[1] * cross_x[2] + row_y[1] * cross_y[2],
+        row_x[2] * cross_x[2] + row_y[2] * cross_y[2],
+    )
+    _shape_backward(table, at, covars, g_covariance)
+
+    # Rows of J W = f / z (R_x - u R_z): -> u, v, 1 / z; centre = f x / z + c: -> x, y, 1 / z.
+    fx, fy = camera[FX], camera[FY]
+    depth_axis = (camera[6], camera[7], camera[8])
+    unscaled_x = (camera[0] - u * camera[6], camera[1] - u * camera[7], camera[2] - u * camera[8])
+    unscaled_y = (camera[3] - v * camera[6], camera[4] - v * camera[7], camera[5] - v * camera[8])
+    g_scale_x, g_scale_y = _dot(g_row_x, unscaled_x), _dot(g_row_y, unscaled_y)
+    g_u = 0.0 - inverse_z * fx * _dot(g_row_x, depth_axis)
+    g_v = 0.0 - inverse_z * fy * _dot(g_row_y, depth_axis)
+    g_u = where((raw_u >= camera[LEFT]) & (raw_u <= camera[RIGHT]), g_u, 0.0) + g_center_x * fx
+    g_v = where((raw_v >= camera[TOP]) & (raw_v <= camera[BOTTOM]), g_v, 0.0) + g_center_y * fy
+    g_inverse_z = g_scale_x * fx + g_scale_y * fy + g_u * x + g_v * y
+    g_x, g_y = g_u * inverse_z, g_v * inverse_z
+    g_z = _row(table, _SUMS + SUM_DEPTH, at) - g_inverse_z * inverse_z * inverse_z
+    for k in range(3):
+        _set(table, _G_MEAN + k, at, g_x * camera[k] + g_y * camera[3 + k] + g_z * camera[6 + k])
+
+    # The camera: points = R means + t, and R once more in the rows.
+    scale_x, scale_y = inverse_z * fx, inverse_z * fy
+    for k in range(3):
+        mean = _row(table, _MEAN + k, at)
+        g_x_k, g_y_k = g_row_x[k] * scale_x, g_row_y[k] * scale_y
+        g_camera[mine, k] += total(g_x * mean + g_x_k)
+        g_camera[mine, 3 + k] += total(g_y * mean + g_y_k)
+        g_camera[mine, 6 + k] += total(g_z * mean - g_x_k * u - g_y_k * v)
+    g_camera[mine, 9] += total(g_x)
+    g_camera[mine, 10] += total(g_y)
+    g_camera[mine, 11] += total(g_z)
+    g_camera[mine, 12] += total(g_center_x * raw_u + g_scale_x * inverse_z)
+    g_camera[mine, 13] += total(g_center_y * raw_v + g_scale_y * inverse_z)
+    g_camera[mine, 14] += total(g_center_x)
+    g_camera[mine, 15] += total(g_center_y)
+
+
+@njit(forceinline=True)
+def _shape_backward(table, at, covars, g_covariance):
+    """Covariance -> scales and quaternion: V = M S^2 M^T, M the rotation of q / |q|."""
+    if covars is not None:
+        for k in range(6):
+            _set(table, _G_SHAPE + k, at, g_covariance[k])
+    else:
+        (w, x, y, z), inverse, m = _rotation(table, at)
+        first = _product(g_covariance, (m[0], m[3], m[6]))
+        second = _product(g_covariance, (m[1], m[4], m[7]))
+        third = _product(g_covariance, (m[2], m[5], m[8]))
+        a, b, c = _row(table, _SHAPE + 4, at), _row(table, _SHAPE + 5, at), _row(table, _SHAPE + 6, at)
+        _set(table, _G_SHAPE + 4, at, 2.0 * a * _dot(first, (m[0], m[3], m[6])))
+        _set(table, _G_SHAPE + 5, at, 2.0 * b * _dot(second, (m[1], m[4], m[7])))
+        _set(table, _G_SHAPE + 6, at, 2.0 * c * _dot(third, (m[2], m[5], m[8])))
+        a, b, c = 2.0 * a * a, 2.0 * b * b, 2.0 * c * c
+        g00, g10, g20 = first[0] * a, first[1] * a, first[2] * a
+        g01, g11, g21 = second[0] * b, second[1] * b, second[2] * b
+        g02, g12, g22 = third[0] * c, third[1] * c, third[2] * c
+        gw = 2.0 * (x * (g21 - g12) + y * (g02 - g20) + z * (g10 - g01))
+        gx = 2.0 * (y * (g01 + g10) + z * (g02 + g20) + w * (g21 - g12) - 2.0 * x * (g11 + g22))
+        gy = 2.0 * (x * (g01 + g10) + z * (g12 + g21) + w * (g02 - g20) - 2.0 * y * (g00 + g22))
+        gz = 2.0 * (x * (g02 + g20) + y * (g12 + g21) + w * (g10 - g01) - 2.0 * z * (g00 + g11))
+        along = gw * w + gx * x + gy * y + gz * z
+        _set(table, _G_SHAPE, at, (gw - along * w) * inverse)
+        _set(table, _G_SHAPE + 1, at, (gx - along * x) * inverse)
+        _set(table, _G_SHAPE + 2, at, (gy - along * y) * inverse)
+        _set(table, _G_SHAPE + 3, at, (gz - along * z) * inverse)

@@ -1,0 +1,98 @@
+"""All scores of one view, and their means over views."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.shared.metrics.psnr import Picture, psnr
+from stages.shared.metrics.segmentation import GARMENT_LABELS, segmentation_scores
+from stages.shared.metrics.sharpness import sharpness
+from stages.shared.metrics.silhouette import iou
+from stages.shared.metrics.ssim import ssim, ssim_in_box
+
+Scores = dict[str, float | None]
+Labels = NDArray[np.uint8]
+MASK_THRESHOLD = 127
+_SMALLEST_REGION = 50  # pixels; smaller regions say nothing
+_REGIONS = {"upper": (3,), "lower": (4,), "outer": (5,), "rest": (0, 1, 2)}
+
+NAMES = (
+    "psnr_foreground",
+    "ssim_foreground",
+    "psnr",
+    "ssim",
+    "lpips",
+    "flip",
+    "iou",
+    "miou",
+    "recall",
+    "f1",
+    "sharpness",
+    *(f"psnr_{region}" for region in _REGIONS),
+)
+
+
+@dataclass(frozen=True)
+class ViewPair:
+    """One view, rendered and true.
+
+    Attributes:
+        prediction: (H, W, 3) u8 sRGB on black. alpha: (H, W) f32 0..1 of the render.
+        truth: (H, W, 3) u8 sRGB on black. mask: (H, W) u8 coverage 0..255.
+        prediction_labels, truth_labels: (H, W) u8 label ids, 255 none; or None.
+    """
+
+    prediction: Picture
+    alpha: NDArray[np.float32]
+    truth: Picture
+    mask: NDArray[np.uint8]
+    prediction_labels: Labels | None = None
+    truth_labels: Labels | None = None
+
+
+def view_scores(view: ViewPair) -> Scores:
+    """Every score of a view by its name (`NAMES`); None where it cannot be computed.
+
+    - `psnr_foreground`: over pixels with mask > 127. `ssim_foreground`: Gaussian window, their bounding box.
+    - `psnr`, `ssim`: as published avatars are scored: white outside the mask in both, whole picture, uniform
+      window.
+    - `iou`: alpha > 0.5 against mask > 127. `miou`, `recall`, `f1`: garment labels.
+    - `sharpness`: gradient energy over the truth's. `psnr_upper` …: inside the true label regions.
+    - `lpips` and `flip` need what is not here (a weight file) and stay None.
+    """
+    inside = view.mask > MASK_THRESHOLD
+    outside = ~inside[..., None]
+    on_white = [np.where(outside, np.uint8(255), picture) for picture in (view.prediction, view.truth)]
+    scores: Scores = dict.fromkeys(NAMES)
+    scores |= {
+        "psnr_foreground": psnr(view.prediction, view.truth, inside),
+        "ssim_foreground": ssim_in_box(view.prediction, view.truth, inside),
+        "psnr": psnr(*on_white),
+        "ssim": ssim(*on_white, window="uniform"),
+        "iou": iou(view.alpha > 0.5, inside),
+        "sharpness": sharpness(view.prediction, view.truth, inside),
+    }
+    if view.truth_labels is not None:
+        for region, labels in _REGIONS.items():
+            member = inside & np.isin(view.truth_labels, labels)
+            if member.sum() >= _SMALLEST_REGION:
+                scores[f"psnr_{region}"] = psnr(view.prediction, view.truth, member)
+    if view.truth_labels is not None and view.prediction_labels is not None:
+        scores |= segmentation_scores(view.prediction_labels, view.truth_labels, GARMENT_LABELS)
+    return scores
+
+
+def mean_scores(rows: Iterable[Scores]) -> Scores:
+    """Mean of each score over the views that have it; None where none has, or where it is infinite."""
+    rows = list(rows)
+    means: Scores = {}
+    for name in NAMES:
+        values = [value for row in rows if (value := row.get(name)) is not None]
+        mean = float(np.mean(values)) if values else None
+        means[name] = mean if mean is not None and math.isfinite(mean) else None
+    return means

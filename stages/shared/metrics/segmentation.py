@@ -1,0 +1,37 @@
+"""Scores of a label picture, over the garment classes that are in the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.shared.metrics.silhouette import iou
+
+GARMENT_LABELS = (3, 4, 5)  # upper, lower, outer
+
+
+def segmentation_scores(
+    prediction: NDArray[np.uint8], truth: NDArray[np.uint8], classes: Sequence[int] = GARMENT_LABELS
+) -> dict[str, float | None]:
+    """`miou`, `recall` and `f1` of one label picture (Gaussian Wardrobe, table of the ablation).
+
+    IoU is averaged over the classes that the truth or the prediction shows; recall and precision count the
+    right pixels of all classes together; F1 is their harmonic mean. None where nothing can be counted.
+
+    Arguments:
+        prediction, truth: (H, W) u8 label ids, 255 where there is nothing.
+        classes: ids that count.
+    """
+    shown = [label for label in classes if (truth == label).any() or (prediction == label).any()]
+    overlaps = [iou(prediction == label, truth == label) for label in shown]
+    known = [value for value in overlaps if value is not None]
+    right = sum(int(((prediction == label) & (truth == label)).sum()) for label in shown)
+    wanted = sum(int((truth == label).sum()) for label in shown)
+    given = sum(int((prediction == label).sum()) for label in shown)
+    return {
+        "miou": float(np.mean(known)) if known else None,
+        "recall": right / wanted if wanted else None,
+        "f1": 2 * right / (wanted + given) if wanted + given else None,
+    }

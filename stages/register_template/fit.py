@@ -19,10 +19,11 @@ from stages.register_template.fit_points import (
     BodySamples,
     MeshSamples,
     body_samples,
+    find_pairs,
     mesh_samples,
     residual,
 )
-from stages.shared.body import BodyModel, Poses
+from stages.shared.body import BodyModel, Poses, posed_vertices
 from stages.shared.body.skeleton import EXPRESSION_COUNT, JOINT_COUNT, JOINT_INDEX, SHAPE_COUNT
 from stages.shared.errors import BadData
 from stages.shared.meshes.mesh import Mesh
@@ -37,12 +38,11 @@ _ARM_ANGLES = (0.0, 0.8)  # how far the arms hang down at the start, radians: T-
 _LARGE_JOINTS = tuple(
     f"{side}_{name}" for side in ("left", "right") for name in ("hip", "knee", "shoulder", "elbow")
 )
-_KEPT = (6, 2)  # starts kept after the first and the second level
-_LEVELS = (
-    (400, 800, 0.25, 0.5),
-    (1200, 2400, 0.10, 1.0),
-    (4000, 8000, 0.05, 1.0),
-)  # body, mesh, robust m, share of steps
+_KEPT = (4, 1)  # starts kept after the first and the second level
+_PAIR_STEPS = 3  # steps for which nearest points stay paired
+_BOX_TOLERANCE = 1.35  # by which factor the boxes of body and mesh may differ in any axis
+# Body points, mesh points, robust distance (m), share of the steps.
+_LEVELS = ((400, 800, 0.25, 0.2), (1200, 2400, 0.10, 0.6), (4000, 8000, 0.05, 1.0))
 _POSE_PRIOR, _SHAPE_PRIOR, _LIMIT_PRIOR = 2e-5, 4e-6, 5e-3
 
 
@@ -81,10 +81,12 @@ def fit_body(body: BodyModel, mesh: Mesh, steps: int, report: Report) -> Fit:
     """
     unit, scale = _unit(mesh)
     middle = (mesh.vertices.max(axis=0) + mesh.vertices.min(axis=0)).astype(np.float64) / 2
+    size = scale * (mesh.vertices.max(axis=0) - mesh.vertices.min(axis=0)).astype(np.float64)
     starts = [_start(body, turn, angle) for turn in axis_rotations() for angle in _ARM_ANGLES]
+    starts = [start for start in starts if _same_box(body, start, size)] or starts
     for level, (body_count, mesh_count, robust, share) in enumerate(_LEVELS):
         samples, points = body_samples(body, body_count), mesh_samples(mesh, mesh_count)
-        count = max(5, round(steps * share * (0.3 if level == 0 else 1)))
+        count = max(5, round(steps * share))
         for number, start in enumerate(starts):
             target = points.turned(start.turn, scale, -scale * start.turn @ middle)
             _descend(start, samples, target, robust, count, level)
@@ -148,6 +150,15 @@ def _start(body: BodyModel, turn: Doubles, arm_angle: float) -> _Start:
     return _Start(turn, rotations, translation, torch.zeros(SHAPE_COUNT, dtype=torch.float64))
 
 
+def _same_box(body: BodyModel, start: _Start, size: Doubles) -> bool:
+    """Whether the start's body is about as wide, tall and deep as the turned mesh of box `size` (3,)."""
+    with torch.no_grad():
+        points = posed_vertices(body, start.rotations, start.translation, start.betas).numpy()
+    ratio = np.abs(start.turn) @ size / (points.max(axis=0) - points.min(axis=0))
+    # The depth says little: a step forward or a wide skirt changes it by factors.
+    return bool(max(ratio[0], 1 / ratio[0], ratio[1], 1 / ratio[1]) < _BOX_TOLERANCE)
+
+
 def _descend(
     start: _Start, samples: BodySamples, target: MeshSamples, robust: float, steps: int, level: int
 ) -> None:
@@ -165,9 +176,12 @@ def _descend(
         ]
     )
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps, eta_min=1e-4)
-    for _ in range(steps):
+    for step in range(steps):
         optimiser.zero_grad()
-        fit = residual(*samples.posed(rotations, translation, betas), target, robust)
+        points, normals = samples.posed(rotations, translation, betas)
+        if step % _PAIR_STEPS == 0:
+            pairs = find_pairs(points, normals, target)
+        fit = residual(points, pairs, robust)
         loss = fit + _prior(rotations, betas, initial, level)
         loss.backward()  # type: ignore[no-untyped-call]
         for values, mask in ((rotations, free_joints), (betas, free_betas)):
@@ -176,7 +190,8 @@ def _descend(
         optimiser.step()
         schedule.step()
     with torch.no_grad():
-        start.loss = float(residual(*samples.posed(rotations, translation, betas), target, robust))
+        points, normals = samples.posed(rotations, translation, betas)
+        start.loss = float(residual(points, find_pairs(points, normals, target), robust))
     start.rotations, start.translation, start.betas = (
         values.detach().clone() for values in (rotations, translation, betas)
     )

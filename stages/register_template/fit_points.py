@@ -17,10 +17,10 @@ from stages.shared.meshes.topology import vertex_normals
 
 Doubles = NDArray[np.float64]
 
-# Distance at which a pair begins to count as unrelated (hair, wide skirts, missing parts), metres.
-_ROBUST_M = 0.06
 # A body outside of the clothes is worse than a body inside of them.
-_OUTSIDE_WEIGHT, _INSIDE_WEIGHT = 3.0, 1.0
+_OUTSIDE_WEIGHT = 3.0
+_INSIDE_SHARE = 0.5  # of the robust distance, for pairs that clothes may have set apart
+_PLANE_SHARE = 0.8  # of a pair's distance that is measured along the normal
 
 
 @dataclass(frozen=True)
@@ -88,29 +88,63 @@ def mesh_samples(mesh: Mesh, count: int, seed: int = 0) -> MeshSamples:
     return MeshSamples(points, normals, cKDTree(points))
 
 
-def residual(points: Tensor, normals: Tensor, target: MeshSamples, robust: float = _ROBUST_M) -> Tensor:
-    """How badly posed body points (S, 3) with normals fit a mesh: one number, metres² of a robust distance.
+@dataclass(frozen=True)
+class Pairs:
+    """Which points are compared, found for one pose and good for a few steps around it.
 
-    Both directions: every body point to the plane of the mesh point nearest to it (a body outside of the mesh
-    counts more than inside, clothes lie outside of bodies), every mesh point to the nearest body point. Pairs whose
-    normals disagree by more than a right angle do not count.
+    Attributes:
+        place, plane: (S, 3) for every body point the nearest mesh point and its normal; agrees (S,) 0 or 1.
+        back: (M,) for every mesh point the nearest body point; back_agrees (M,) 0 or 1.
+        targets: (M, 3) the mesh points.
     """
+
+    place: Tensor
+    plane: Tensor
+    agrees: Tensor
+    back: NDArray[np.intp]
+    back_agrees: Tensor
+    targets: Tensor
+
+
+def find_pairs(points: Tensor, normals: Tensor, target: MeshSamples) -> Pairs:
+    """Nearest points both ways; those whose normals disagree by more than a right angle are marked."""
     here, facing = points.detach().numpy(), normals.detach().numpy()
     near = target.tree.query(here)[1]
-    plane, place = torch.from_numpy(target.normals[near]), torch.from_numpy(target.points[near])
-    agrees = torch.from_numpy((np.einsum("sc,sc->s", facing, target.normals[near]) > 0).astype(np.float64))
-    signed = ((points - place) * plane).sum(-1)
-    weight = torch.where(signed > 0, _OUTSIDE_WEIGHT, _INSIDE_WEIGHT)
-    apart = ((points - place) ** 2).sum(-1)
-    to_mesh = agrees * weight * _robust(0.8 * signed**2 + 0.2 * apart, robust)
-
     back = cKDTree(here).query(target.points)[1]
-    back_agrees = np.einsum("sc,sc->s", facing[back], target.normals) > 0
-    away = ((points[back] - torch.from_numpy(target.points)) ** 2).sum(-1)
-    to_body = torch.from_numpy(back_agrees.astype(np.float64)) * _robust(away, robust)
+    return Pairs(
+        torch.from_numpy(target.points[near]),
+        torch.from_numpy(target.normals[near]),
+        _same_side(facing, target.normals[near]),
+        back,
+        _same_side(facing[back], target.normals),
+        torch.from_numpy(target.points),
+    )
+
+
+def residual(points: Tensor, pairs: Pairs, robust: float) -> Tensor:
+    """How badly posed body points (S, 3) fit a mesh: one number, metres² of a robust distance.
+
+    Both directions: every body point to the plane of the mesh point paired with it, every mesh point to its body
+    point. Clothes lie outside of bodies: a body point outside of the mesh counts more, and one inside soon stops
+    to count, as does a mesh point away from the body.
+
+    Arguments:
+        robust: distance in metres at which a pair begins to count as unrelated.
+    """
+    signed = ((points - pairs.place) * pairs.plane).sum(-1)
+    squared = _PLANE_SHARE * signed**2 + (1 - _PLANE_SHARE) * ((points - pairs.place) ** 2).sum(-1)
+    outside = _OUTSIDE_WEIGHT * _robust(squared, robust)
+    to_mesh = pairs.agrees * torch.where(signed > 0, outside, _robust(squared, _INSIDE_SHARE * robust))
+    away = ((points[pairs.back] - pairs.targets) ** 2).sum(-1)
+    to_body = pairs.back_agrees * _robust(away, _INSIDE_SHARE * robust)
     # Leaving pairs out must not pay: what does not count costs as much as a pair far apart.
-    lost = robust**2 * ((1 - agrees).mean() + float((~back_agrees).mean()))
+    lost = robust**2 * ((1 - pairs.agrees).mean() + (1 - pairs.back_agrees).mean())
     return to_mesh.mean() + to_body.mean() + lost
+
+
+def _same_side(first: Doubles, second: Doubles) -> Tensor:
+    """(N,) 1 where two sets of normals (N, 3) point to the same half, else 0."""
+    return torch.from_numpy((np.einsum("nc,nc->n", first, second) > 0).astype(np.float64))
 
 
 def _robust(squared: Tensor, scale: float) -> Tensor:

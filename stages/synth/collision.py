@@ -51,17 +51,32 @@ class Collider:
         self.border = border_vertices(count, self.faces) if not self.closed else np.zeros(count, dtype=bool)
         self._candidates = np.flatnonzero(self.usable)
 
-    def nearest(self, surface: Floats, points: Floats) -> Indices:
+    def tree(self, surface: Floats) -> cKDTree:
+        """Search tree over the usable vertices of the surface (V, 3) where it is now."""
+        return cKDTree(surface[self._candidates])
+
+    def nearest(self, tree: cKDTree, points: Floats) -> Indices:
         """(N,) nearest usable surface vertex of each point, −1 beyond reach."""
-        distance, index = cKDTree(surface[self._candidates]).query(points, distance_upper_bound=REACH)
+        distance, index = tree.query(points, distance_upper_bound=REACH)
         found = np.isfinite(distance)
         return np.where(found, self._candidates[np.where(found, index, 0)], -1)
 
 
 @njit(cache=True, nogil=True)
 def push_out(  # type: ignore[no-untyped-def]
-    positions, previous, nearest, surface, surface_before, normals, faces, first, incident, border,
-    distance, friction, closed,
+    positions,
+    previous,
+    nearest,
+    surface,
+    surface_before,
+    normals,
+    faces,
+    first,
+    incident,
+    border,
+    distance,
+    friction,
+    closed,
 ):
     """Move cloth vertices to at least `distance` metres outside the surface; slow their sliding.
 
@@ -94,7 +109,9 @@ def push_out(  # type: ignore[no-untyped-def]
         for k in range(3):
             point[k] = best[0] * surface[a, k] + best[1] * surface[b, k] + best[2] * surface[c, k]
             point_before[k] = (
-                best[0] * surface_before[a, k] + best[1] * surface_before[b, k] + best[2] * surface_before[c, k]
+                best[0] * surface_before[a, k]
+                + best[1] * surface_before[b, k]
+                + best[2] * surface_before[c, k]
             )
             normal[k] = best[0] * normals[a, k] + best[1] * normals[b, k] + best[2] * normals[c, k]
             size += normal[k] ** 2
@@ -135,7 +152,7 @@ def _rub(position, previous, point, point_before, normal, limit):  # type: ignor
 
 @njit(cache=True, nogil=True)
 def _closest(p, surface, face, weights):  # type: ignore[no-untyped-def]
-    """Squared distance from p to a triangle; barycentric weights of the closest point (Ericson 2005, 5.1.5)."""
+    """Squared distance from p to a triangle; weights of the closest point (Ericson 2005, 5.1.5)."""
     ia, ib, ic = face[0], face[1], face[2]
     d1 = d2 = d3 = d4 = d5 = d6 = 0.0
     for k in range(3):

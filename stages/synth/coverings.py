@@ -152,7 +152,9 @@ def _torso_uv(vertices: Floats, faces: NDArray[np.int64], mean: ShapedBody, slee
     """(F, 3, 2) u around the torso from the front, v up; on sleeves u around the arm, v outwards."""
     corners = vertices[faces]
     axis = np.array([0.0, 0.0, _joint(mean, "spine2")[2] + 0.01])
-    u = _around(corners[..., 0] - axis[0], corners[..., 2] - axis[2], vertices[:, 0], vertices[:, 2] - axis[2])
+    u = _around(
+        corners[..., 0] - axis[0], corners[..., 2] - axis[2], vertices[:, 0], vertices[:, 2] - axis[2]
+    )
     uv = np.stack([u, corners[..., 1]], axis=-1)
     shoulder = _joint(mean, "left_shoulder")
     centre = corners.mean(axis=1)

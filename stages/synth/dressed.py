@@ -17,7 +17,6 @@ from stages.synth.patterns import ROW_LENGTH, VERTEX_COLORS, linear_from_srgb
 Floats = NDArray[np.float64]
 
 SKIN, HAIR, SHOE = 0, 1, 2
-_ACCESSORY_SPACING = 0.011
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,12 +61,12 @@ class Look:
     parts: tuple[tuple[str, int, int], ...]
 
 
-def accessories(mean: ShapedBody, wearer: ShapedBody, person: Person) -> list[Bound]:
-    """Hair and shoes, fitted to the wearer."""
+def accessories(mean: ShapedBody, wearer: ShapedBody, person: Person, spacing: float) -> list[Bound]:
+    """Hair and shoes, fitted to the wearer; `spacing` of their vertices in metres."""
     offsets = wearer.rest_vertices - mean.rest_vertices
     hair_length = 0.055 if person.name == "subject_1" else -0.005
-    pieces = [("hair", HAIR, hair_cap(mean, _ACCESSORY_SPACING, hair_length), person.hair)]
-    pieces += [(f"shoe {side:+d}", SHOE, shoe(mean, _ACCESSORY_SPACING, side), person.shoes) for side in (1, -1)]
+    pieces = [("hair", HAIR, hair_cap(mean, spacing, hair_length), person.hair)]
+    pieces += [(f"shoe {side:+d}", SHOE, shoe(mean, spacing, side), person.shoes) for side in (1, -1)]
     bound = []
     for name, label, (vertices, faces), color in pieces:
         weights = np.maximum(carry(vertices, faces, mean, mean.weights), 0.0)
@@ -88,7 +87,9 @@ def look_of(body: ShapedBody, person: Person, bound: list[Bound], garments: list
     fabrics = [plain]
     start = 0
 
-    def append(name: str, label: int, count: int, triangles: NDArray[np.int64], color: Floats, row: int, uv: Floats) -> None:
+    def append(
+        name: str, label: int, count: int, triangles: NDArray[np.int64], color: Floats, row: int, uv: Floats
+    ) -> None:
         nonlocal start
         faces.append(triangles + start)
         labels.append(np.full(len(triangles), label, dtype=np.uint8))

@@ -74,8 +74,12 @@ class Pattern:
 def wardrobe(mean: ShapedBody, spacing: float, seed: int) -> tuple[list[Pattern], list[Pattern]]:
     """What each of the two people wears, inner layer first."""
     ripple = float(np.random.default_rng(seed).uniform(0, 2 * np.pi))
-    striped = Fabric(1, 0.052, ((0.93, 0.93, 0.90), (0.10, 0.16, 0.42), (0.96, 0.66, 0.10), (0.62, 0.10, 0.08)))
-    tartan = Fabric(2, 0.118, ((0.66, 0.10, 0.10), (0.09, 0.22, 0.15), (0.95, 0.82, 0.25), (0.93, 0.93, 0.93)))
+    striped = Fabric(
+        1, 0.052, ((0.93, 0.93, 0.90), (0.10, 0.16, 0.42), (0.96, 0.66, 0.10), (0.62, 0.10, 0.08))
+    )
+    tartan = Fabric(
+        2, 0.118, ((0.66, 0.10, 0.10), (0.09, 0.22, 0.15), (0.95, 0.82, 0.25), (0.93, 0.93, 0.93))
+    )
     dotted = Fabric(4, 0.056, ((0.10, 0.44, 0.48), (0.96, 0.95, 0.88)))
     checked = Fabric(3, 0.046, ((0.80, 0.72, 0.58), (0.28, 0.22, 0.20)))
     argyle = Fabric(5, 0.096, ((0.46, 0.09, 0.22), (0.90, 0.62, 0.20), (0.95, 0.93, 0.90)))
@@ -94,7 +98,7 @@ def wardrobe(mean: ShapedBody, spacing: float, seed: int) -> tuple[list[Pattern]
 
 
 def fit(pattern: Pattern, mean: ShapedBody, wearer: ShapedBody) -> Garment:
-    """Grade a pattern to the wearer: add the wearer's shape offsets, carried over from the body and smoothed."""
+    """Grade a pattern to the wearer: add the body's shape offsets, carried over and smoothed."""
     cut = pattern.cut
     offsets = wearer.rest_vertices - mean.rest_vertices
     moved = cut.vertices + carry(cut.vertices, cut.faces, mean, offsets)

@@ -1,4 +1,4 @@
-"""The two motions: training (walk, twist, raise the arms, squat, turn) and held out (leg raise, half turn, bow).
+"""Two motions: training (walk, twist, arm raise, squat, turn) and held out (leg raise, half turn, bow).
 
 A pose is a set of Euler angles in degrees per joint, a function of the time in seconds. Angles at a joint
 are (about x: forward/back, about y: twist, about z: sideways) and are applied in the order z, x, y to a
@@ -7,14 +7,13 @@ T-pose limb; the left side is given and mirrored for the right.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from stages.shared.body import JOINT_INDEX, Poses
-
 from stages.synth.bodies import ShapedBody
 
 FPS = 30.0
@@ -132,18 +131,18 @@ def _raise_arms(t: float, start: float, end: float) -> Angles:
 def _squat(t: float, start: float, end: float) -> Angles:
     down = _bump(t, start, end)
     pose = {
-        "hip": down * np.array([-62.0, 0, 8]),
-        "knee": down * np.array([74.0, 0, 0]),
-        "ankle": down * np.array([-26.0, 0, 0]),
-        "shoulder": down * np.array([0, -34.0, 26]),
+        "hip": (-62.0, 0.0, 8.0),
+        "knee": (74.0, 0.0, 0.0),
+        "ankle": (-26.0, 0.0, 0.0),
+        "shoulder": (0.0, -34.0, 26.0),
     }
-    both = _mirrored(pose)
+    both = {name: down * angles for name, angles in _mirrored(pose).items()}
     both["pelvis"] = down * np.array([14.0, 0, 0])
     both["spine1"] = down * np.array([6.0, 0, 0])
     return both
 
 
-def _mirrored(left: dict[str, object]) -> Angles:
+def _mirrored(left: Mapping[str, tuple[float, float, float]]) -> Angles:
     """Both sides from the left one: rotations about y and z change sign on the right."""
     pose: Angles = {}
     for name, angles in left.items():

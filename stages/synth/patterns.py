@@ -111,7 +111,7 @@ def _tartan_band(x):  # type: ignore[no-untyped-def]
     """Colour of one thread: ground, a broad band, two thin lines."""
     if 0.08 < x < 0.40:
         return 1
-    if 0.22 < abs(x - 0.5) and 0.70 < x < 0.745:
+    if 0.72 < x < 0.765:
         return 2
     if 0.84 < x < 0.885:
         return 3

@@ -8,6 +8,7 @@ hair and shoes are all made this way, in the rest frame of the mean body.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import igl
 import numpy as np
@@ -153,7 +154,7 @@ def _newton(points: Floats, field: Field, step: float = 0.004) -> Floats:
     return points - length[:, None] * gradient
 
 
-def _pair(level: Floats, axis: int) -> tuple[Floats, Floats]:
+def _pair(level: NDArray[Any], axis: int) -> tuple[NDArray[Any], NDArray[Any]]:
     low = [slice(None)] * 3
     high = [slice(None)] * 3
     low[axis], high[axis] = slice(None, -1), slice(1, None)
@@ -173,7 +174,7 @@ def _edge_shifts(axis: int) -> list[tuple[int, int, int]]:
 
 def _quads(negative: NDArray[np.bool_], index: Faces, axis: int) -> Faces:
     """(Q, 4) cells around each crossed edge along the axis, counter-clockwise seen from outside."""
-    before, after = _pair(negative, axis)  # type: ignore[arg-type]
+    before, after = _pair(negative, axis)
     others = [k for k in range(3) if k != axis]
     inner = [slice(None)] * 3
     for k in others:

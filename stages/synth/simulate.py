@@ -141,9 +141,14 @@ def _put_on(body: ShapedBody, garment: Garment, transforms: Floats) -> _Worn:
 
 def _find_contacts(worn: list[_Worn], collider: Collider, surface: Floats) -> None:
     """The nearest surface vertex of every cloth vertex, for the coming frame."""
+    on_body = collider.tree(surface)
+    on_cloth = [one.collider.tree(one.positions) for one in worn[:-1]]
     for index, one in enumerate(worn):
-        one.on_body = collider.nearest(surface, one.positions)
-        one.on_cloth = [inner.collider.nearest(inner.positions, one.positions) for inner in worn[:index]]
+        one.on_body = collider.nearest(on_body, one.positions)
+        one.on_cloth = [
+            inner.collider.nearest(tree, one.positions)
+            for inner, tree in zip(worn[:index], on_cloth, strict=False)
+        ]
 
 
 def _with_run_up(poses: Poses, settle_frames: int) -> tuple[Floats, Floats]:

@@ -78,8 +78,8 @@ def _tube(
     rings: int, columns: int, u: NDArray[np.float64], v: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Faces (F, 3) of a tube with alternating diagonals and their corner_uv (F, 3, 2)."""
-    ring, column = np.meshgrid(np.arange(rings - 1), np.arange(columns), indexing="ij")
-    ring, column = ring.ravel(), column.ravel()
+    ring = np.repeat(np.arange(rings - 1), columns)
+    column = np.tile(np.arange(columns), rings - 1)
     corner_rings = np.stack([ring, ring + 1, ring + 1, ring], axis=1)
     corner_columns = np.stack([column, column, column + 1, column + 1], axis=1)
     index = corner_rings * columns + corner_columns % columns

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,15 +21,15 @@ from numpy.typing import NDArray
 
 from stages.shared.artifacts.files import write_whole
 from stages.shared.body import Poses, embedded_body
-from stages.shared.capture import NativeWriter, native_writer
+from stages.shared.capture import native_writer
 from stages.shared.plan import Plan
 from stages.shared.report import SILENT, Report
 from stages.synth import motion
 from stages.synth.bodies import PERSON_1, PERSON_2, Person, ShapedBody, betas_of
 from stages.synth.cloth import cloth_model, stretch_of
 from stages.synth.config import SynthConfig
-from stages.synth.dressed import accessories, look_of, vertices_at
-from stages.synth.garments import Garment, fit, wardrobe
+from stages.synth.dressed import Bound, accessories, look_of, vertices_at
+from stages.synth.garments import LOWER, UPPER, Garment, Pattern, fit, wardrobe
 from stages.synth.simulate import simulate
 from stages.synth.truth import garment_truth, scan
 from stages.synth.views import Stage, camera_ring
@@ -49,11 +49,15 @@ class SynthResult:
 
 @dataclass(frozen=True, eq=False)
 class Outfit:
-    """One person in a set of garments, inner layer first."""
+    """One person with hair and shoes in a set of garments, inner layer first."""
 
     person: Person
     body: ShapedBody
+    bound: list[Bound]
     garments: list[Garment]
+
+
+Job = tuple[str, str, Outfit]  # capture, take, who wears what
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +80,9 @@ def plan(output: Path, config: SynthConfig = SynthConfig()) -> Plan:
     cloth = frames * 1.4e-7 / config.cloth_spacing**2 * config.substeps
     return Plan(
         inputs=[],
-        outputs=[f"{output}/{name}" for name in ("subject_1", "subject_2", "tryon_truth", "motions/held_out.npz")],
+        outputs=[
+            f"{output}/{name}" for name in ("subject_1", "subject_2", "tryon_truth", "motions/held_out.npz")
+        ],
         config=asdict(config),
         seconds=15 + 0.6 * cloth + 5e-8 * rays + 0.02 * views,
         memory_bytes=900 << 20,
@@ -98,14 +104,14 @@ def run(output: Path, config: SynthConfig = SynthConfig(), report: Report = SILE
         ("subject_2", HELD_OUT, second),
         ("tryon_truth", HELD_OUT, swapped),
     ]
-    takes = _parallel(lambda job: _simulated(*job, config), sorted(jobs, key=_longest_first), report)
+    takes = _parallel(lambda job: _simulated(job, config), sorted(jobs, key=_longest_first), report)
 
     report.step("rendering views")
     captures = {}
     for capture in ("subject_1", "subject_2", "tryon_truth"):
         captures[capture] = output / capture
         own = sorted((take for take in takes if take.capture == capture), key=lambda take: take.name != TRAIN)
-        _write_capture(captures[capture], own, mean, config, report)
+        _write_capture(captures[capture], own, config, report)
 
     worn = next(take for take in takes if take.capture == "tryon_truth")
     motion_path = output / "motions" / "held_out.npz"
@@ -116,16 +122,21 @@ def run(output: Path, config: SynthConfig = SynthConfig(), report: Report = SILE
 def outfits(mean: ShapedBody, config: SynthConfig) -> tuple[Outfit, Outfit, Outfit]:
     """Subject 1, subject 2, and subject 2 in its own T-shirt and subject 1's skirt."""
     patterns_1, patterns_2 = wardrobe(mean, config.cloth_spacing, config.seed)
-    body_1 = ShapedBody(mean.model, betas_of(mean.model, PERSON_1))
-    body_2 = ShapedBody(mean.model, betas_of(mean.model, PERSON_2))
-    first = Outfit(PERSON_1, body_1, [fit(pattern, mean, body_1) for pattern in patterns_1])
-    second = Outfit(PERSON_2, body_2, [fit(pattern, mean, body_2) for pattern in patterns_2])
-    skirt = fit(patterns_1[0], mean, body_2)
-    upper = next(garment for garment in second.garments if garment.layer == "upper")
-    return first, second, Outfit(PERSON_2, body_2, [skirt, upper])
+    spacing = float(np.clip(0.6 * config.cloth_spacing, 0.008, 0.016))
+
+    def dressed(person: Person, patterns: list[Pattern]) -> Outfit:
+        body = ShapedBody(mean.model, betas_of(mean.model, person))
+        bound = accessories(mean, body, person, spacing)
+        return Outfit(person, body, bound, [fit(pattern, mean, body) for pattern in patterns])
+
+    first, second = dressed(PERSON_1, patterns_1), dressed(PERSON_2, patterns_2)
+    skirt = fit(next(pattern for pattern in patterns_1 if pattern.label == LOWER), mean, second.body)
+    upper = next(garment for garment in second.garments if garment.label == UPPER)
+    return first, second, replace(second, garments=[skirt, upper])
 
 
-def _simulated(capture: str, name: str, outfit: Outfit, config: SynthConfig) -> Take:
+def _simulated(job: Job, config: SynthConfig) -> Take:
+    capture, name, outfit = job
     training = name == TRAIN
     images = config.train_images if training else config.test_images
     stride = config.train_stride if training else config.test_stride
@@ -137,22 +148,25 @@ def _simulated(capture: str, name: str, outfit: Outfit, config: SynthConfig) -> 
     return Take(capture, name, outfit, poses, frames, cloth)
 
 
-def _write_capture(path: Path, takes: list[Take], mean: ShapedBody, config: SynthConfig, report: Report) -> None:
+def _write_capture(path: Path, takes: list[Take], config: SynthConfig, report: Report) -> None:
     """One native capture, whole or absent."""
     cameras, held_out = camera_ring(config.cameras, config.image_size)
     outfit = takes[0].outfit
-    bound = accessories(mean, outfit.body, outfit.person)
-    look = look_of(outfit.body, outfit.person, bound, outfit.garments)
+    look = look_of(outfit.body, outfit.person, outfit.bound, outfit.garments)
     with native_writer(path, cameras, [held_out]) as writer:
         writer.notes.update(_about(outfit, config))
         for take in takes:
-            folder = writer.take(take.name, "train" if take.name == TRAIN else "test", take.poses, take.frames[0])
-            folder.extra("gt/meshes.npz", garment_truth(take.outfit.garments, take.cloth, take.frames))
+            folder = writer.take(
+                take.name, "train" if take.name == TRAIN else "test", take.poses, take.frames[0]
+            )
+            folder.extra("gt/meshes.npz", garment_truth(outfit.garments, take.cloth, take.frames))
             if take.name == TRAIN:
-                folder.scan(scan(look, vertices_at(take.frames[0], outfit.body, take.poses, bound, take.cloth)))
+                folder.scan(
+                    scan(look, vertices_at(take.frames[0], outfit.body, take.poses, outfit.bound, take.cloth))
+                )
 
             def render(frame: int, take: Take = take, folder: Any = folder) -> None:
-                vertices = vertices_at(frame, take.outfit.body, take.poses, bound, take.cloth)
+                vertices = vertices_at(frame, outfit.body, take.poses, outfit.bound, take.cloth)
                 stage = Stage(look, vertices, config.ambient_rays, config.seed)
                 for camera in cameras:
                     view = stage.picture(camera, config.supersample)
@@ -171,7 +185,7 @@ def _parallel(work: Callable[[Any], Any], items: list[Any], report: Report) -> l
     return results
 
 
-def _longest_first(job: tuple[str, str, Outfit]) -> tuple[bool, int]:
+def _longest_first(job: Job) -> tuple[bool, int]:
     return job[1] != TRAIN, -len(job[2].garments)
 
 

@@ -130,8 +130,22 @@ def _sphere(count: int, seed: int) -> Floats:
 
 @njit(cache=True, nogil=True)
 def _shade_hits(  # type: ignore[no-untyped-def]
-    face_ids, barycentric, directions, faces, face_label, face_fabric, corner_uv, vertex_colors, fabrics,
-    normals, openness, lights, supersample, light, alpha, labels,
+    face_ids,
+    barycentric,
+    directions,
+    faces,
+    face_label,
+    face_fabric,
+    corner_uv,
+    vertex_colors,
+    fabrics,
+    normals,
+    openness,
+    lights,
+    supersample,
+    light,
+    alpha,
+    labels,
 ):
     """Average the rays of each pixel; label by majority, none where less than half is covered."""
     rays_per_pixel = supersample * supersample

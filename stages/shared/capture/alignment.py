@@ -189,7 +189,7 @@ def _refusal(take: Take, best: Alignment, bar: float) -> BadData:
             "Check the units of calibration and poses: both must be metres.",
         )
     return BadData(
-        f"Only {100 * best.mean_inside:.0f} % of the projected body is inside the masks (bar {100 * bar:.0f} %): "
+        f"Only {100 * best.mean_inside:.0f} % of the projected body is in the masks (bar {100 * bar:.0f} %): "
         "calibration, poses and masks do not belong together.",
         where,
         "Check calibration, units (metres), body model (--body-model) and frame numbers of poses and images.",

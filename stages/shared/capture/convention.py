@@ -16,14 +16,19 @@ AS_IS: Final = "as is"
 _TURN_Z = np.diag([-1.0, -1.0, 1.0, 1.0])  # x left, y up (PyTorch3D)
 _TURN_X = np.diag([1.0, -1.0, -1.0, 1.0])  # y up, z backward (OpenGL)
 
+
+def _inverse(matrix: Matrix) -> Matrix:
+    return np.asarray(np.linalg.inv(matrix), np.float64)
+
+
 # What to do to the matrix that the capture gives.
 CONVENTIONS: Final[dict[str, Callable[[Matrix], Matrix]]] = {
     AS_IS: lambda matrix: matrix,
     "rows 0 and 1 negated": lambda matrix: _TURN_Z @ matrix,
     "rows 1 and 2 negated": lambda matrix: _TURN_X @ matrix,
-    "inverted": lambda matrix: np.linalg.inv(matrix),
-    "inverted, rows 0 and 1 negated": lambda matrix: _TURN_Z @ np.linalg.inv(matrix),
-    "inverted, rows 1 and 2 negated": lambda matrix: _TURN_X @ np.linalg.inv(matrix),
+    "inverted": _inverse,
+    "inverted, rows 0 and 1 negated": lambda matrix: _TURN_Z @ _inverse(matrix),
+    "inverted, rows 1 and 2 negated": lambda matrix: _TURN_X @ _inverse(matrix),
 }
 
 

@@ -21,7 +21,8 @@ Flags = NDArray[np.bool_]
 LABEL_IDS = tuple(label for label in LABELS if label != NO_LABEL)
 _OFFSET = 0.001  # m above the surface, so that a point is not hidden by the faces it lies on
 _TOLERANCE = 0.002  # m; what is this near to the point does not hide it
-_DEPTH_JUMP = 0.02  # m between neighbouring pixels: a silhouette, where images mix two surfaces
+_DEPTH_STEP = 0.01  # m beside two pixels' widths: a silhouette, where images mix two surfaces
+_FAR = 1e6  # m, depth of the background
 _EDGE_WEIGHT = 0.02  # left to a view whose pixel lies on a silhouette: used when there is no other
 _SURE = 250  # mask value from which a pixel shows nothing of the background
 _SHARPNESS = 8  # of the blend: views that see a point half as well count a 256th
@@ -183,14 +184,16 @@ def _edge_factor(
     """(N,) 1, or `_EDGE_WEIGHT` where a pixel of the image mixes two surfaces or lies outside the mask."""
     camera = take.camera(name)
     depth = occluder.render(camera).distance
-    depth = np.where(np.isfinite(depth), depth, 1e6).astype(np.float32)
+    depth = np.where(np.isfinite(depth), depth, _FAR).astype(np.float32)
+    # Second differences are small on a slope, however steep, and large at a step.
+    step = np.zeros(depth.shape, bool)
+    allowed = _DEPTH_STEP + 2 * depth / camera.intrinsics[0, 0]
+    for axis in (0, 1):
+        before, after = np.roll(depth, 1, axis), np.roll(depth, -1, axis)
+        step |= np.abs(before - 2 * depth + after) > allowed
     kernel = np.ones((3, 3), np.uint8)
-    jump = (
-        cv2.dilate(depth, kernel) - cv2.erode(depth, kernel)
-        > _DEPTH_JUMP + 0.02 * depth / camera.intrinsics[0, 0]
-    )
     unsure = cv2.dilate((take.mask(name, frame) < _SURE).astype(np.uint8), kernel) > 0
-    mixed = jump | unsure
+    mixed = step | unsure
     columns = np.clip(pixels[:, 0].astype(np.intp), 0, camera.width - 1)
     rows = np.clip(pixels[:, 1].astype(np.intp), 0, camera.height - 1)
     return np.where(mixed[rows, columns], np.float32(_EDGE_WEIGHT), np.float32(1))

@@ -117,7 +117,7 @@ class Take:
         return check_size(read_labels(path), seen_by.width, seen_by.height, path)
 
     def read_scan(self) -> Mesh | None:
-        """The mesh of the dressed person at `scan_frame`, with the colours and labels it has; None without one.
+        """The mesh of the dressed person at `scan_frame`, with its colours and labels; None without a scan.
 
         Raises:
             BadData: as `load_mesh`.

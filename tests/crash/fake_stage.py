@@ -35,7 +35,10 @@ class Config:
 
 
 class CountingLayer(FileLayer):
-    """Tells the kind of every call, in order, to `before` and `after`."""
+    """Tells the kind of every call, in order, to `before` and `after`.
+
+    Does not wait for the disk: the system keeps what a killed process wrote, and tests have no power cuts.
+    """
 
     def __init__(self) -> None:
         self.calls: list[str] = []
@@ -66,12 +69,10 @@ class CountingLayer(FileLayer):
 
     def flush(self, descriptor: int) -> None:
         self.before("flush")
-        super().flush(descriptor)
         self.after("flush")
 
     def flush_folder(self, path: Path) -> None:
         self.before("flush_folder")
-        super().flush_folder(path)
         self.after("flush_folder")
 
     def rename(self, source: Path, target: Path) -> None:

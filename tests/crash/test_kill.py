@@ -34,7 +34,8 @@ def assert_nothing_half(subject: Path) -> None:
 
 def assert_rerun_agrees(subject: Path, capture: Path, expected: tuple[str, str]) -> int:
     """Run to the end; the steps that had to be computed."""
-    prepared, learnt, steps = run(subject, capture)
+    with using_layer(CountingLayer()):
+        prepared, learnt, steps = run(subject, capture)
     assert (prepared, learnt) == expected
     assert verify(Workspace(subject)).damaged == []
     assert {path.name for path in subject.glob(".*")} <= {".lock", ".digests.json"}

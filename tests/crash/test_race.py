@@ -36,7 +36,7 @@ def hold(subject: Path, capture: Path, seconds: float) -> subprocess.Popen[str]:
 
 def races(capture: Path, subject: Path, rounds: int) -> None:
     for _ in range(rounds):
-        racers = [hold(subject, capture, 0.5) for _ in range(2)]
+        racers = [hold(subject, capture, 0.4) for _ in range(2)]
         outcomes = [racer.communicate(timeout=30) for racer in racers]
         codes = sorted(racer.returncode for racer in racers)
         assert codes == [0, 75], outcomes
@@ -64,7 +64,7 @@ def test_the_loser_is_told_within_a_second_and_readers_go_on(
 ) -> None:
     subject = tmp_path / "subject"
     assert run(subject, crash_capture)[:2] == undisturbed[0]
-    holder = hold(subject, crash_capture, 3)
+    holder = hold(subject, crash_capture, 2)
     try:
         assert holder.stdout is not None
         assert [holder.stdout.readline(), holder.stdout.readline()] == ["ready\n", "holding\n"]

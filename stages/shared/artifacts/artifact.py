@@ -8,7 +8,7 @@ from typing import Any
 
 from stages.shared.artifacts.arrays import Arrays, decode_arrays
 from stages.shared.artifacts.canonical import digest, strict_json, unseal
-from stages.shared.artifacts.external import file_digest
+from stages.shared.artifacts.external import DigestCache, file_digest
 from stages.shared.artifacts.manifest import RUN_NAME, Manifest, read_manifest
 from stages.shared.errors import BadData, MissingInput
 
@@ -110,6 +110,11 @@ class Artifact:
                 raise self._damaged(name, "its content has changed")
             self._verified.add(name)
         return self.path / name
+
+    def damaged_files(self, cache: DigestCache) -> list[str]:
+        """Names of files whose content is not what was written; reads only those that may have changed."""
+        recorded = self.manifest.files.items()
+        return [name for name, entry in recorded if cache.digest(self.path / name) != entry.sha256]
 
     def _name(self, name: str, suffix: str) -> str:
         for candidate in (name, name + suffix):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import platform
 import resource
 import secrets
@@ -225,6 +224,7 @@ class Build:
 
 def _library_versions() -> dict[str, str]:
     """Versions of the numerical libraries that this process has loaded."""
-    owners = importlib.metadata.packages_distributions()
-    loaded = [name for name in _LIBRARIES if name in sys.modules and name in owners]
-    return {name: importlib.metadata.version(owners[name][0]) for name in loaded}
+    loaded = {
+        name: getattr(sys.modules[name], "__version__", None) for name in _LIBRARIES if name in sys.modules
+    }
+    return {name: str(version) for name, version in loaded.items() if version is not None}

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import json
 import os
 import socket
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -73,6 +74,16 @@ def release(workspace: Path) -> None:
         if held.count == 0:
             del _held[name]
             os.close(held.descriptor)
+
+
+@contextlib.contextmanager
+def holding(workspace: Path, on_first: Callable[[], None] = lambda: None) -> Iterator[None]:
+    """Be the writer inside the block; see `acquire`."""
+    acquire(workspace, on_first)
+    try:
+        yield
+    finally:
+        release(workspace)
 
 
 def _take(workspace: Path) -> int:

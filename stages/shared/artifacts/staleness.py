@@ -65,7 +65,7 @@ def _state(
         return StageState(spec.name, "damaged", [f"{error.where}: {error.what}"])
     if artifact is None:
         return StageState(spec.name, "not made", [f"run: {workspace.command(spec)}"])
-    damage = [f"{file} changed after it was written" for file in _damaged_files(artifact, cache)]
+    damage = [f"{file} changed after it was written" for file in artifact.damaged_files(cache)]
     if damage:
         return StageState(spec.name, "damaged", damage, artifact.key)
     reasons = _own_reasons(artifact, spec, config)
@@ -75,14 +75,6 @@ def _state(
         else:
             reasons += _external_reasons(workspace, artifact, name, entry, cache)
     return StageState(spec.name, "stale" if reasons else "up to date", reasons, artifact.key)
-
-
-def _damaged_files(artifact: Artifact, cache: DigestCache) -> list[str]:
-    return [
-        name
-        for name, entry in artifact.manifest.files.items()
-        if cache.digest(artifact.path / name) != entry.sha256
-    ]
 
 
 def _own_reasons(artifact: Artifact, spec: StageSpec, config: Any) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 from collections.abc import Mapping
@@ -25,7 +26,7 @@ from stages.shared.artifacts.files import make_folders, remove_folder, rename, w
 from stages.shared.artifacts.manifest import InputEntry, is_plain_name
 from stages.shared.artifacts.progress import Progress
 from stages.shared.artifacts.spec import StageSpec
-from stages.shared.errors import BadData, MissingInput
+from stages.shared.errors import BadData, Locked, MissingInput, StorageFailure
 
 SETTINGS_NAME = "subject.json"
 CURRENT_NAME = "current.json"
@@ -89,17 +90,24 @@ class Workspace:
         folder = self.root / spec.name / key
         if not folder.is_dir():
             return None
-        cache.save()
         try:
             artifact = Artifact(folder)
         except BadData:
             return None  # made anew by the caller, and then replaced
+        damaged = artifact.damaged_files(cache)
+        with contextlib.suppress(StorageFailure):  # looking works on a read-only disk too
+            cache.save()
+        if damaged:
+            return None
         if not self._points_at(artifact):
-            lock.acquire(self.root, self.clear_leftovers)
-            try:
+            with self._writing():
                 self.point_at(artifact)
-            finally:
-                lock.release(self.root)
+        elif self._progress_folder(spec.name, key).exists():
+            with (
+                contextlib.suppress(Locked),
+                self._writing(),
+            ):  # a kill came after the end; nobody needs it now
+                self.drop_progress(spec.name, key)
         return artifact
 
     def build(self, spec: StageSpec, config: Any, inputs: Inputs, force: bool = False) -> Build:
@@ -134,7 +142,7 @@ class Workspace:
             entries, _ = self._entries(inputs, DigestCache(self.root))
             digests = {name: entry.digest for name, entry in entries.items()}
             key = artifact_key(spec.name, spec.schema, spec.code_version, plain(config), digests)
-            folder = self.root / f".{spec.name}{_PROGRESS}{key}"
+            folder = self._progress_folder(spec.name, key)
             if force:
                 remove_folder(folder)
             make_folders(folder)
@@ -173,11 +181,8 @@ class Workspace:
         settings = self.settings()
         if settings | values == settings and (self.root / SETTINGS_NAME).exists():
             return
-        lock.acquire(self.root, self.clear_leftovers)
-        try:
+        with self._writing():
             write_whole(self.root / SETTINGS_NAME, readable_json(self.settings() | values))
-        finally:
-            lock.release(self.root)
 
     def setting_path(self, name: str) -> Path:
         """A path that `subject.json` holds, e.g. "capture", as seen from here.
@@ -190,7 +195,7 @@ class Workspace:
             raise MissingInput(
                 f"This subject has no {name}.", str(self.root / SETTINGS_NAME), "Run gw register-template."
             )
-        path = Path(os.path.normpath(self.root / text))
+        path = self._seen_from_here(text)
         if not path.exists():
             raise MissingInput(
                 f"The {name} of this subject is not where it was.",
@@ -201,7 +206,7 @@ class Workspace:
 
     def relative(self, path: Path) -> str:
         """A path as text relative to this workspace."""
-        return Path(os.path.relpath(path, self.root)).as_posix()
+        return Path(os.path.relpath(path.resolve(), self.root.resolve())).as_posix()
 
     def publish(self, artifact: Artifact, file_name: str, as_name: str) -> Path:
         """Copy a file of an artifact, whole or not at all, to a place where users look for it.
@@ -215,11 +220,8 @@ class Workspace:
         data = artifact.bytes(file_name)
         if target.exists() and target.read_bytes() == data:
             return target
-        lock.acquire(self.root, self.clear_leftovers)
-        try:
+        with self._writing():
             write_whole(target, data)
-        finally:
-            lock.release(self.root)
         return target
 
     def command(self, spec: StageSpec) -> str:
@@ -227,8 +229,16 @@ class Workspace:
         capture = self.settings().get("capture")
         words = {"SUBJECT": str(self.root)}
         if isinstance(capture, str):
-            words["CAPTURE"] = os.path.normpath(self.root / capture)
+            words["CAPTURE"] = str(self._seen_from_here(capture))
         return " ".join(words.get(word, word) for word in spec.command.split())
+
+    def _seen_from_here(self, text: str) -> Path:
+        """A path of the settings, absolute or relative as this workspace's own is."""
+        path = (self.root / text).resolve()
+        return path if self.root.is_absolute() else Path(os.path.relpath(path))
+
+    def _writing(self) -> contextlib.AbstractContextManager[None]:
+        return lock.holding(self.root, self.clear_leftovers)
 
     def artifacts(self) -> list[Path]:
         """Folders of all finished artifacts, in use or not."""
@@ -245,7 +255,10 @@ class Workspace:
 
     def drop_progress(self, stage: str, key: str) -> None:
         """Remove unfinished work whose artifact is finished. The caller holds the lock."""
-        remove_folder(self.root / f".{stage}{_PROGRESS}{key}")
+        remove_folder(self._progress_folder(stage, key))
+
+    def _progress_folder(self, stage: str, key: str) -> Path:
+        return self.root / f".{stage}{_PROGRESS}{key}"
 
     def aside(self, stage: str, key: str) -> Path:
         """Where an artifact stands for the moment in which another takes its place."""

@@ -73,7 +73,7 @@ def make_first(
 
 
 def make_second(workspace: Workspace, capture: Path, first: Artifact) -> Artifact:
-    inputs = {"first": first, "capture/labels": labels(capture)}
+    inputs: dict[str, Artifact | ExternalFiles] = {"first": first, "capture/labels": labels(capture)}
     with workspace.build(SECOND, Config(), inputs) as build:
         build.write_arrays("lower", {"vertices": first.arrays("template")["vertices"] + 1})
     return build.artifact

@@ -22,7 +22,7 @@ def sample() -> dict[str, np.ndarray]:
     random = np.random.default_rng(3)
     arrays = {dtype: (random.random((3, 5)) * 100).astype(dtype) for dtype in DTYPES}
     return arrays | {
-        "scalar": np.float64(2.5),
+        "scalar": np.array(2.5),
         "big endian": np.arange(4, dtype=">i4"),
         "empty": np.zeros((0, 2), "i4"),
     }

@@ -68,7 +68,8 @@ def test_a_flipped_bit_in_a_checkpoint_is_found(workspace: Workspace, capture: P
         path = progress.path / "c.safetensors"
         good = path.read_bytes()
         found = 0
-        for position in range(len(good) * 8):
+        positions = range(0, len(good) * 8, 7)
+        for position in positions:
             data = bytearray(good)
             data[position // 8] ^= 1 << position % 8
             path.write_bytes(data)
@@ -79,7 +80,7 @@ def test_a_flipped_bit_in_a_checkpoint_is_found(workspace: Workspace, capture: P
             else:  # only padding blanks of the header may differ without a difference in content
                 assert note == {"step": 4} and arrays["step"] == 3
                 np.testing.assert_array_equal(arrays["weights"], np.arange(5.0))
-        assert found > 0.95 * len(good) * 8
+        assert found > 0.95 * len(positions)
 
 
 def test_values_that_are_not_finite_never_reach_a_checkpoint(workspace: Workspace, capture: Path) -> None:

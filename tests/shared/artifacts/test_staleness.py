@@ -199,7 +199,12 @@ def test_unchanged_files_are_not_read_twice(finished: Workspace, monkeypatch: py
     read: list[Path] = []
     original = external.file_digest
     monkeypatch.setattr(external, "_SETTLED_NANOSECONDS", 0)
-    monkeypatch.setattr(external, "file_digest", lambda path: read.append(path) or original(path))
+
+    def counted(path: Path) -> str:
+        read.append(path)
+        return original(path)
+
+    monkeypatch.setattr(external, "file_digest", counted)
     assert not_up_to_date(finished) == {} and len(read) > 5
     read.clear()
     assert not_up_to_date(finished) == {} and read == []

@@ -159,15 +159,19 @@ def test_made_again_it_stays_unless_forced(workspace: Workspace, capture: Path) 
     assert hidden(workspace) == []
 
 
-def test_a_damaged_artifact_is_not_found_and_is_made_anew(workspace: Workspace, capture: Path) -> None:
+@pytest.mark.parametrize("damage", ["shortened", "one bit"])
+def test_a_damaged_artifact_is_not_found_and_is_made_anew(
+    workspace: Workspace, capture: Path, damage: str
+) -> None:
     artifact = make_first(workspace, capture)
     good = content(artifact)
     path = artifact.path / "template.safetensors"
     path.chmod(0o644)
-    path.write_bytes(path.read_bytes()[:-1])
+    data = path.read_bytes()
+    path.write_bytes(data[:-1] if damage == "shortened" else data[:-1] + bytes([data[-1] ^ 1]))
     assert workspace.find(FIRST, Config(), {"capture/poses": poses(capture)}) is None
-    with pytest.raises(BadData, match="bytes instead of"):
-        workspace.require(FIRST)
+    with pytest.raises(BadData, match=r"bytes instead of|content has changed"):
+        workspace.require(FIRST).arrays("template")
     assert content(make_first(workspace, capture)) == good
 
 
@@ -201,6 +205,16 @@ def test_a_setting_that_leads_elsewhere_is_kept(workspace: Workspace, capture: P
     assert workspace.setting_path("capture") == capture / "poses.npz"
     with pytest.raises(MissingInput, match="has no scan"):
         workspace.setting_path("scan")
+
+
+def test_paths_are_kept_relative_through_links(tmp_path: Path, capture: Path) -> None:
+    (tmp_path / "far" / "away").mkdir(parents=True)
+    (tmp_path / "link").symlink_to(tmp_path / "far" / "away")
+    workspace = Workspace(tmp_path / "link" / "subject")
+    artifact = make_first(workspace, capture)
+    assert workspace.settings() == {"capture": "../../../capture"}
+    assert workspace.setting_path("capture") == capture
+    assert [path.name for path in Workspace(workspace.root.resolve()).artifacts()] == [artifact.key]
 
 
 def test_settings_that_are_not_json_are_refused(workspace: Workspace) -> None:

@@ -63,4 +63,14 @@ PRESETS: dict[str, SynthConfig] = {
         test_stride=4,
         cloth_spacing=0.013,
     ),
+    "paper": SynthConfig(
+        image_size=1024,
+        supersample=3,
+        cameras=24,
+        train_images=160,
+        train_stride=1,
+        test_images=80,
+        test_stride=1,
+        cloth_spacing=0.012,
+    ),
 }

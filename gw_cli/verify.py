@@ -16,10 +16,10 @@ def register(app: typer.Typer) -> None:
     @app.command("verify")
     @command
     def verify(
-        path: Annotated[Path, typer.Argument(help="Workspace folder of a subject.", metavar="SUBJECT")],
+        path: Annotated[Path, typer.Argument(help="Workspace folder of a subject, or a bundle (.gwg).")],
         as_json: Json = False,
     ) -> None:
-        """Read every finished artifact of a subject and compare it with the digests it was written with.
+        """Read everything and compare it with the digests it was written with: a subject, or a .gwg bundle.
 
         Ends with exit code 65 if anything is damaged. Nothing is changed.
         """
@@ -28,6 +28,11 @@ def register(app: typer.Typer) -> None:
         from stages.shared.errors import BadData
 
         console = Console(as_json)
+        if path.suffix == ".gwg":
+            from stages.shared.artifacts.bundle import verify_bundle
+
+            console.result({"bundle": str(path), "digest": verify_bundle(path), "damaged": []})
+            return
         found = verify_workspace(Workspace(path))
         for damage in found.damaged:
             console.warn(f"{damage.path}: {damage.what}")

@@ -133,3 +133,10 @@ def test_verify_of_something_else(tmp_path: Path, subject: Path) -> None:
     assert gw("verify", tmp_path / "no")[0] == 66
     shutil.rmtree(subject)
     assert gw("verify", tmp_path)[0] == 66
+
+
+def test_verify_of_a_bundle_that_is_none(tmp_path: Path) -> None:
+    assert gw("verify", tmp_path / "no.gwg")[0] == 66
+    (tmp_path / "skirt.gwg").write_bytes(b"not a bundle")
+    code, _, stderr = gw("verify", tmp_path / "skirt.gwg")
+    assert code == 65 and "skirt.gwg" in stderr

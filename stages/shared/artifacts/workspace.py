@@ -66,7 +66,7 @@ class Workspace:
 
         Raises:
             MissingInput: there is none; says which command makes it.
-            BadData: it is damaged.
+            BadData: it is damaged, or of a schema that this version does not read.
         """
         artifact = self.current(spec)
         if artifact is None:
@@ -74,6 +74,13 @@ class Workspace:
                 f"The stage {spec.name} has not been run for this subject.",
                 str(self.root),
                 f"Run: {self.command(spec)}",
+            )
+        written = artifact.manifest.schema
+        if written.split(".")[0] != spec.schema.split(".")[0]:
+            raise BadData(
+                f"The artifact of {spec.name} has schema {written}; this gw reads {spec.schema}.",
+                str(artifact.path),
+                f"Use the gw that wrote it, or run again: {self.command(spec)}",
             )
         return artifact
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import getpass
 import shutil
 import socket
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 
 from stages.shared.artifacts import Artifact, ExternalFiles, StageSpec, Workspace
+from stages.shared.artifacts.canonical import seal, unseal
 from stages.shared.errors import BadData, MissingInput
 from tests.shared.artifacts.conftest import FIRST, SECOND, Config, make_first, make_second, poses
 
@@ -109,6 +111,22 @@ def test_what_is_missing_is_named_with_its_command(workspace: Workspace, capture
     assert workspace.command(FIRST) == f"gw first {capture} -o {workspace.root}"
     with pytest.raises(MissingInput, match=r"template\.safetensors"):
         workspace.require(FIRST).arrays("another")
+
+
+def test_another_major_schema_is_refused_with_both_numbers(workspace: Workspace, capture: Path) -> None:
+    make_first(workspace, capture)
+    assert workspace.require(dataclasses.replace(FIRST, schema="1.7")).stage == "first"
+    with pytest.raises(BadData, match=r"has schema 1\.0; this gw reads 2\.0"):
+        workspace.require(dataclasses.replace(FIRST, schema="2.0"))
+
+
+def test_another_version_of_the_store_is_refused(workspace: Workspace, capture: Path) -> None:
+    path = make_first(workspace, capture).path / "manifest.json"
+    value = unseal(path.read_bytes(), path)
+    path.unlink()
+    path.write_bytes(seal({**value, "store": 2}))
+    with pytest.raises(BadData, match="another version of the store"):
+        workspace.require(FIRST)
 
 
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt, SystemExit])

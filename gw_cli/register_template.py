@@ -23,9 +23,7 @@ def register(app: typer.Typer) -> None:
         subject: Annotated[Path, typer.Option("--output", "-o", help="Workspace folder of the subject.")],
         template: Annotated[
             str,
-            typer.Option(
-                help="auto | scan | hull | body: the capture's scan, the hull of the masks, the bare body."
-            ),
+            typer.Option(help="auto | scan | hull (of the masks) | body (bare)."),
         ] = "auto",
         frame: Annotated[
             int | None, typer.Option(help="Frame of the template; chosen by its pose if left out.")
@@ -33,9 +31,7 @@ def register(app: typer.Typer) -> None:
         take: Annotated[str | None, typer.Option(help="Training take of the template.")] = None,
         body_model: Annotated[
             Path | None,
-            typer.Option(
-                help="Body model the poses were fitted with (.npz, SMPL-X convention); default: the capture's."
-            ),
+            typer.Option(help="Body model of the poses (.npz); default: the capture's."),
         ] = None,
         params: Annotated[Path | None, typer.Option(help="Body fit of a mesh (smpl_params.npz).")] = None,
         capture_format: Annotated[str | None, typer.Option("--format", help="Layout of the capture.")] = None,

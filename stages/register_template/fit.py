@@ -1,7 +1,7 @@
 """Fit the body to a mesh of a dressed person: unit, orientation, place, pose and shape.
 
-Coarse to fine: all 24 axis-aligned orientations with few points and the large joints; the best few with all body
-joints; the best with many points.
+Coarse to fine: all axis-aligned orientations whose box fits, with few points and the large joints; the best
+few with all body joints; the best one with many points.
 """
 
 from __future__ import annotations
@@ -95,13 +95,10 @@ def fit_body(body: BodyModel, mesh: Mesh, steps: int, report: Report) -> Fit:
         if level < len(_KEPT):
             starts = starts[: _KEPT[level]]
     best = starts[0]
-    vertices = scale * (mesh.vertices - middle) @ best.turn.T
-    # Stand on the floor: the lowest point of the mesh at y = 0.
-    lift = np.array([0.0, -vertices[:, 1].min(), 0.0])
-    upright = replace(mesh, vertices=(vertices + lift).astype(np.float32))
+    upright = replace(mesh, vertices=(scale * mesh.vertices @ best.turn.T).astype(np.float32))
     poses = Poses(
         best.rotations.numpy()[None],
-        best.translation.numpy()[None] + lift,
+        best.translation.numpy()[None] + scale * best.turn @ middle,
         best.betas.numpy(),
         np.zeros((1, EXPRESSION_COUNT), np.float32),
     )
@@ -134,7 +131,7 @@ def _unit(mesh: Mesh) -> tuple[str, float]:
         if _SHORTEST <= size * metres <= _LONGEST:
             return name, metres
     raise BadData(
-        f"The mesh is {size:.4g} units tall, which is a person's height in none of the units {', '.join(_UNITS)}.",
+        f"The mesh is {size:.4g} units large: a person's size in none of the units {', '.join(_UNITS)}.",
         f"mesh of {len(mesh.vertices)} vertices",
         "Scale the mesh to metres, or give the body fit with --params.",
     )
@@ -183,7 +180,7 @@ def _descend(
             pairs = find_pairs(points, normals, target)
         fit = residual(points, pairs, robust)
         loss = fit + _prior(rotations, betas, initial, level)
-        loss.backward()  # type: ignore[no-untyped-call]
+        loss.backward()
         for values, mask in ((rotations, free_joints), (betas, free_betas)):
             if values.grad is not None:
                 values.grad *= mask

@@ -39,7 +39,10 @@ class BodySamples:
     weights: Tensor
 
     def posed(self, rotations: Tensor, translation: Tensor, betas: Tensor) -> tuple[Tensor, Tensor]:
-        """World points and unit normals, each (..., S, 3); rotations (..., 55, 3), translation (..., 3), betas (..., 10)."""
+        """World points and unit normals, each (..., S, 3).
+
+        Arguments: rotations (..., 55, 3) axis-angle, translation (..., 3) metres, betas (..., 10).
+        """
         joints = shaped_joints(self.body, betas)
         transforms = blend(self.weights, bone_transforms(rotations, joints, translation=translation))
         rest = self.rest + torch.einsum("scb,...b->...sc", self.directions, betas)
@@ -124,9 +127,9 @@ def find_pairs(points: Tensor, normals: Tensor, target: MeshSamples) -> Pairs:
 def residual(points: Tensor, pairs: Pairs, robust: float) -> Tensor:
     """How badly posed body points (S, 3) fit a mesh: one number, metres² of a robust distance.
 
-    Both directions: every body point to the plane of the mesh point paired with it, every mesh point to its body
-    point. Clothes lie outside of bodies: a body point outside of the mesh counts more, and one inside soon stops
-    to count, as does a mesh point away from the body.
+    Both directions: every body point to the plane of the mesh point paired with it, every mesh point to its
+    body point. Clothes lie outside of bodies: a body point outside of the mesh counts more, and one inside
+    soon stops to count, as does a mesh point away from the body.
 
     Arguments:
         robust: distance in metres at which a pair begins to count as unrelated.

@@ -31,7 +31,7 @@ def choose_frame(body: BodyModel, poses: Poses, frames: Sequence[int]) -> int:
 
 
 def openness(body: BodyModel, poses: Poses) -> NDArray[np.float64]:
-    """(T,) metres: the smaller of wrist-to-torso distance (either side) and ankle distance, less for fast motion."""
+    """(T,) metres: the smaller of arm-to-torso and ankle distance, less for fast motion."""
     with torch.no_grad():
         joints = posed_joints(
             body,

@@ -1,7 +1,7 @@
 """Visual hull: the largest shape that fits into the masks of all cameras at one frame.
 
-Every camera gives a signed distance to its silhouette, in metres at the depth of the point; the smallest over the
-cameras is a field whose zero level is the hull, known to a fraction of a pixel and of a grid step.
+Every camera gives a signed distance to its silhouette, in metres at the depth of the point; the smallest over
+the cameras is a field whose zero level is the hull, known to a fraction of a pixel and of a grid step.
 """
 
 from __future__ import annotations
@@ -106,7 +106,8 @@ def outward(vertices: Doubles, faces: NDArray[np.integer]) -> Mesh:
     """The mesh with its faces turned so that its volume is positive."""
     corners = vertices[faces]
     volume = np.einsum("fk,fk->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
-    return Mesh(vertices, faces if volume > 0 else faces[:, ::-1])
+    turned = faces if volume > 0 else faces[:, ::-1]
+    return Mesh(vertices.astype(np.float32), turned.astype(np.int32))
 
 
 def largest_part(mesh: Mesh) -> Mesh:
@@ -119,7 +120,7 @@ def largest_part(mesh: Mesh) -> Mesh:
 
 
 def smooth(mesh: Mesh, steps: int, forward: float = 0.5, back: float = -0.53) -> Mesh:
-    """Taubin smoothing: each step draws vertices to their neighbours' mean and pushes back, so nothing shrinks.
+    """Taubin smoothing: each step draws vertices to their neighbours' mean and back, so nothing shrinks.
 
     (G. Taubin, A signal processing approach to fair surface design, 1995.)
     """
@@ -129,7 +130,7 @@ def smooth(mesh: Mesh, steps: int, forward: float = 0.5, back: float = -0.53) ->
     for _ in range(steps):
         for share in (forward, back):
             vertices = vertices + share * (neighbours @ vertices / degree - vertices)
-    return Mesh(vertices, mesh.faces)
+    return Mesh(vertices.astype(np.float32), mesh.faces)
 
 
 @dataclass(frozen=True)

@@ -213,7 +213,8 @@ def posed_body(body: BodyModel, pose: Poses) -> NDArray[np.float64]:
     with torch.no_grad():
         return posed_vertices(
             body,
-            *(torch.from_numpy(values[0]).double() for values in (pose.rotations, pose.translation)),
+            torch.from_numpy(pose.rotations[0]).double(),
+            torch.from_numpy(pose.translation[0]).double(),
             torch.from_numpy(pose.betas).double(),
             torch.from_numpy(pose.expression[0]).double(),
         ).numpy()
@@ -270,7 +271,8 @@ def _template(
     """The surface, and how it was made."""
     if source.template == "body":
         report.step("taking the body model as the template")
-        mesh, how = Mesh(posed, source.body.faces), {"made": "body model"}
+        mesh = Mesh(posed.astype(np.float32), source.body.faces)
+        how: dict[str, Any] = {"made": "body model"}
     elif source.template == "scan":
         assert take.scan is not None
         report.step("reading the scan")

@@ -1,10 +1,11 @@
 """Register a subject: check that body and masks fit, and obtain the dressed person's surface at one frame.
 
 Reads:
-    a capture (cameras, poses, masks and images of the frames looked at, scan), or one mesh of a dressed person
+    a capture (cameras, poses, scan, masks and images of the frames looked at), or one mesh of a person
     a body model: given, the capture's own, or the embedded one
 Writes (artifact register-template):
-    template.safetensors   vertices (V,3) f32 m world, faces (F,3) i32, colors (V,3) u8 sRGB and labels (V,) u8 if known
+    template.safetensors   vertices (V,3) f32 m world, faces (F,3) i32, colors (V,3) u8 sRGB and
+                           labels (V,) u8 if known
     smpl_params.npz        poses of all training frames; row `frame` of the summary is the template's frame
     body.safetensors       the body model that the poses are for (`BodyModel.to_arrays`)
     overlay.png            the body's outline over the images, or the mesh beside the fitted body

@@ -1,4 +1,4 @@
-"""Body model files: SMPL-X-convention `.npz`, our own safetensors, and the one that comes with the package."""
+"""Body model files: SMPL-X-convention `.npz`, our own safetensors, and the one inside the package."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ class NumericNpz:
             magic = stream.read(4)
         if magic[:1] == _PICKLE_MAGIC:
             raise BadData(
-                f"This file is a Python pickle, which can run code when it is opened; {what} must be a plain .npz.",
+                f"This file is a Python pickle, which can run code when opened; {what} must be a plain .npz.",
                 str(path),
                 "Load it once where you trust it and save the numeric arrays with numpy.savez.",
             )

@@ -32,8 +32,8 @@ def pack_body(body: BodyModel, weights_per_vertex: int = 6) -> dict[str, NDArray
 
     Returns:
         vertices (V,3) i16 with vertex_scale (3,) f32 metres per step; shape (V,3,10) i16 with shape_scale
-        (3,10) f32; faces (F,3) u16; weight_joints (V,K) u8, weights (V,K) u16; regressor_joints, regressor_vertices
-        (R,) u8 / u16, regressor_values (R,) f32.
+        (3,10) f32; faces (F,3) u16; weight_joints (V,K) u8, weights (V,K) u16; regressor_joints (R,) u8,
+        regressor_vertices (R,) u16, regressor_values (R,) f32.
     """
     vertices, vertex_scale = _quantise(body.template_vertices)
     shape, shape_scale = _quantise(body.shape_directions)

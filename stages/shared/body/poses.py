@@ -127,9 +127,9 @@ def read_smpl_params(file: NumericNpz, body: BodyModel | None = None) -> Poses:
     """Poses out of an open `smpl_params.npz`.
 
     Keys: betas (1,10), global_orient, transl (T,3), body_pose (T,63); optional jaw_pose, leye_pose, reye_pose
-    (T,3), left_hand_pose and right_hand_pose (T,45) axis-angle or (T,12) coefficients of the body model's hand
-    space, expression (T,10), fps, flat_hand_mean. Without `flat_hand_mean` 45 values mean a flat and 12 values
-    the model's own mean hand, as both are in use. Without fps: 30.
+    (T,3), left_hand_pose and right_hand_pose (T,45) axis-angle or (T,12) coefficients of the body model's
+    hand space, expression (T,10), fps, flat_hand_mean. Without `flat_hand_mean` 45 values mean a flat and 12
+    values the model's own mean hand, as both are in use. Without fps: 30.
 
     Raises:
         BadData: missing arrays, other column counts, NaN, 12-value hands and a body without a hand space.
@@ -196,17 +196,17 @@ def _hand(file: NumericNpz, side: str, frames: int, body: BodyModel | None) -> F
             return np.zeros((frames, _HAND_VALUES), dtype=np.float32)
         if components is None or len(components) < columns:
             raise BadData(
-                f"The hands are given as {columns} coefficients, and the body model has no hand space to expand them.",
+                f"The hands are {columns} coefficients each, and the body model has no hand space.",
                 f"{file.path}: {name}",
-                "Give the body model the fit was made with (--body-model), or store 45 axis-angle values per hand.",
+                "Give the body model of the fit (--body-model), or store 45 axis-angle values per hand.",
             )
         values = values @ components[:columns]
     if not flat:
         if mean is None:
             raise BadData(
-                "The hand poses are relative to a mean hand (flat_hand_mean is false), which the body model lacks.",
+                "The hands are relative to a mean hand (flat_hand_mean), which the body model lacks.",
                 f"{file.path}: {name}",
-                "Give the body model the fit was made with (--body-model), or add the mean hand and set flat_hand_mean.",
+                "Give the body model of the fit (--body-model), or add the mean hand to the poses.",
             )
         values = values + mean
     return values.astype(np.float32)

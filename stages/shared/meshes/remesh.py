@@ -1,7 +1,7 @@
 """Mesh clean-up and remeshing by pymeshlab, in a child process with a time limit; libigl where that fails.
 
-pymeshlab is known to crash at import on some systems, and its filters can hang on broken meshes. The child, this
-same module run as a program, gets arrays in a temporary folder and gives arrays back.
+pymeshlab is known to crash at import on some systems, and its filters can hang on broken meshes. The child,
+this same module run as a program, gets arrays in a temporary folder and gives arrays back.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _MOST_HOLE_EDGES = 80
 
 
 def remesh(mesh: Mesh, edge: float, time_limit: float = _TIME_LIMIT_SECONDS) -> tuple[Mesh, str]:
-    """The same surface with triangles of even size, cleaned: no doubles, no non-manifold edges, small holes closed.
+    """The same surface with triangles of even size: no doubles, no non-manifold edges, small holes closed.
 
     Arguments:
         mesh: its colours and labels are taken over from the nearest vertex.
@@ -90,13 +90,13 @@ def _with_libigl(mesh: Mesh, faces_wanted: int) -> tuple[Doubles, NDArray]:
 def _carry_over(mesh: Mesh, vertices: Doubles, faces: NDArray) -> Mesh:
     """The new mesh with colours and labels of the nearest old vertex."""
     if mesh.colors is None and mesh.labels is None:
-        return Mesh(vertices, faces)
+        return Mesh(vertices.astype(np.float32), faces)
     from scipy.spatial import cKDTree
 
     nearest = cKDTree(mesh.vertices).query(vertices)[1]
     colors = None if mesh.colors is None else mesh.colors[nearest]
     labels = None if mesh.labels is None else mesh.labels[nearest]
-    return Mesh(vertices, faces, colors, labels)
+    return Mesh(vertices.astype(np.float32), faces, colors, labels)
 
 
 def _area(mesh: Mesh) -> float:

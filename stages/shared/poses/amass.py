@@ -29,8 +29,8 @@ _Y_UP_FROM_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 def read_pose_vectors(file: NumericNpz, body: BodyModel | None = None) -> Poses:
     """Poses out of an open AMASS file (`*_poses.npz`, `*_stageii.npz`, or anything with the same two arrays).
 
-    Keys: poses (T,156), (T,165) or (T,72), trans (T,3); optional mocap_framerate, mocap_frame_rate or fps. The
-    motion is turned from z up to y up. Its betas belong to another, gendered shape space and are left out.
+    Keys: poses (T,156), (T,165) or (T,72), trans (T,3); optional mocap_framerate, mocap_frame_rate or fps.
+    The motion is turned from z up to y up. Its betas are of another, gendered shape space and are left out.
 
     Raises:
         BadData: other columns, NaN, missing arrays, no frames.
@@ -64,8 +64,8 @@ def read_pose_vectors(file: NumericNpz, body: BodyModel | None = None) -> Poses:
     )
     pelvis = np.zeros(3) if body is None else body.joint_template[0]
     return Poses(
-        y_up_roots(rotations),
-        (translation + pelvis) @ _Y_UP_FROM_Z_UP.T - pelvis,
+        y_up_roots(rotations).astype(np.float32),
+        ((translation + pelvis) @ _Y_UP_FROM_Z_UP.T - pelvis).astype(np.float32),
         np.zeros(SHAPE_COUNT, dtype=np.float32),
         np.zeros((frames, EXPRESSION_COUNT), dtype=np.float32),
         fps,

@@ -1,8 +1,8 @@
 """Motion of a BVH skeleton, carried over to the body model.
 
-Bones are matched by name; each matched bone's world rotation is taken over, corrected by the rotation between
-the two rest poses. Proportions stay the body's: the way of the hips is scaled by the length of the legs, which
-also settles the unit of the file.
+Bones are matched by name; each matched bone's world rotation is taken over, corrected by the rotation
+between the two rest poses. Proportions stay the body's: the way of the hips is scaled by the length of the
+legs, which also settles the unit of the file.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ def read_bvh(path: Path, body: BodyModel | None = None) -> Poses:
     """Poses of `body` (the embedded one without) out of a BVH file.
 
     The result stands in a y-up world in metres: the first frame's pelvis is above the origin, the lowest foot
-    of the clip on y = 0. Which axis of the file is up follows from where the head is over the hips. Limbs point
-    exactly where they point in the file; feet, hands and spine keep the file's rotation relative to the rest pose.
-    Joints the file does not have stay as in the T-pose.
+    of the clip on y = 0. Which axis of the file is up follows from where the shoulders are over the feet.
+    Limbs point exactly where they point in the file; feet, hands and spine keep the file's rotation relative
+    to the rest pose. Joints the file does not have stay as in the T-pose.
 
     Raises:
-        BadData: not a usable BVH file, or a skeleton whose hips, knees, ankles, shoulders and elbows are not found.
+        BadData: not a usable BVH file, or hips, knees, ankles, shoulders or elbows are not found.
     """
     if body is None:
         from stages.shared.body.load import embedded_body
@@ -50,7 +50,7 @@ def read_bvh(path: Path, body: BodyModel | None = None) -> Poses:
         raise BadData(
             f"The skeleton's bones for {', '.join(missing)} are not recognised by name.",
             f"{path} (bones: {', '.join(motion.names[:40])})",
-            "Rename the bones as in the CMU, HumanIK, Mixamo or Poser conventions (LeftUpLeg, LeftForeArm, …).",
+            "Rename the bones by a usual convention (CMU, HumanIK, Mixamo, Poser: LeftUpLeg, …).",
         )
     bone_rotations, bone_positions = motion.world()
     source_from_body = _source_from_body(motion, bone_of, path)

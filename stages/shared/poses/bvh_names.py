@@ -63,7 +63,7 @@ def _side_and_name(name: str) -> tuple[str, str]:
 
 
 def _place_shoulder(found: dict[int, int], own: dict[str, int], side: str) -> None:
-    """A bone called "shoulder" is the collar bone where there is an upper arm beside it, else the upper arm."""
+    """A bone called "shoulder" is the collar bone where there is an upper arm too, else the upper arm."""
     if "shoulder" not in own:
         return
     shoulder, collar = JOINT_INDEX[f"{side}_shoulder"], JOINT_INDEX[f"{side}_collar"]

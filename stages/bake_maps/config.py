@@ -19,7 +19,7 @@ class BakeMapsConfig:
         project_colors: sample the template frame's images at every texel.
     """
 
-    pitch: float = 0.006
+    pitch: float = 0.0065
     extent_m: float = 2.0
     depth_jump_m: float = 0.03
     seam_reach_m: float = 0.12

@@ -13,7 +13,7 @@ class CanonicalizeConfig:
         resolution: nodes along each side of the voxel grid of skinning weights and shape directions.
         spread: how body values spread into space: "wide" (keeps loose garments whole), "inverse" (the
             paper's released code) or "nearest".
-        reach_per_distance: for "wide": smoothing length per metre of distance from the skin.
+        reach_per_distance: for "wide": growth of the smoothing length per metre of distance from the skin.
         shape_removal: "exact" (joints move with the shape) or "paper" (rotated vertex offsets only).
         tear_growth: an edge that grows by more than this factor from world to canonical is torn.
         tear_length_m: and is longer than this afterwards; shorter ones are noise of the scan.
@@ -21,7 +21,7 @@ class CanonicalizeConfig:
 
     resolution: int = 64
     spread: str = "wide"
-    reach_per_distance: float = 2.0
+    reach_per_distance: float = 10.0
     shape_removal: str = "exact"
     tear_growth: float = 5.0
     tear_length_m: float = 0.01

@@ -32,18 +32,20 @@ class FieldConfig:
         spread: "nearest", "inverse" or "wide".
         iterations: 6-neighbour averaging steps of "inverse".
         reach_at_skin: smoothing length of "wide" on and under the skin.
-        reach_per_distance: growth of that length per metre of distance from the skin.
+        reach_per_distance: growth of that length per metre beyond `skin_distance`.
+        skin_distance: up to this far from the skin nothing but `reach_at_skin` smooths: tight cloth follows it.
         hand_reach: points nearer than this to a hand take its vertices' weights: fingers are thinner than voxels.
         eye_reach: the same for the eyeballs, which nothing but themselves should follow.
     """
 
     resolution: int = 64
-    margin: float = 0.1
+    margin: float = 0.08
     neighbours: int = 30
     spread: str = "wide"
     iterations: int = 30
-    reach_at_skin: float = 0.015
-    reach_per_distance: float = 2.0
+    reach_at_skin: float = 0.01
+    reach_per_distance: float = 10.0
+    skin_distance: float = 0.015
     hand_reach: float = 0.03
     eye_reach: float = 0.004
 
@@ -184,7 +186,8 @@ def _spread(
         return _average_in_band(start, band, config.iterations)
     if config.spread == "wide":
         outside = np.einsum("nk,nk->n", nodes - vertices[nearest], normals[nearest]) > 0
-        reach = config.reach_at_skin + config.reach_per_distance * np.where(outside, distance, 0.0)
+        beyond = np.where(outside, np.maximum(distance - config.skin_distance, 0.0), 0.0)
+        reach = config.reach_at_skin + config.reach_per_distance * beyond
         return spread_wide(start, reach, band, pitch)
     return start
 

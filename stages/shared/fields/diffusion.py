@@ -62,7 +62,7 @@ def spread_wide(
     lengths: np.ndarray,
     band: np.ndarray,
     pitch: np.ndarray,
-    tolerance: float = 1e-5,
+    tolerance: float = 1e-4,
     iterations: int = 400,
 ) -> np.ndarray:
     """Smooth values over a band of grid nodes, each node over its own length.
@@ -78,13 +78,12 @@ def spread_wide(
         pitch: (3,) spacing along x y z, metres.
 
     Returns:
-        (M, C) float64.
+        (M, C) float32.
     """
     keep = 1.0 / np.square(np.asarray(lengths, dtype=np.float64))
-    laplacian = band_laplacian(band, pitch)
-    return conjugate_gradient(
-        (laplacian + sparse.diags(keep)).tocsr(), keep[:, None] * values, values, tolerance, iterations
-    )
+    matrix = (band_laplacian(band, pitch) + sparse.diags(keep)).tocsr()
+    right = (keep[:, None] * values).astype(np.float32)
+    return conjugate_gradient(matrix, right, values, tolerance, iterations)
 
 
 def band_laplacian(band: np.ndarray, pitch: np.ndarray) -> sparse.csr_matrix:
@@ -115,25 +114,40 @@ def conjugate_gradient(
 ) -> np.ndarray:
     """Solve matrix · x = right (M, C) for all channels at once; matrix symmetric positive definite.
 
-    Diagonal preconditioning; every channel has its own step lengths. Stops when the residual of every
-    channel has fallen below `tolerance` times the norm of the largest right-hand side.
+    Diagonal preconditioning; every channel has its own step lengths and leaves when it is done: when its
+    residual has fallen below `tolerance` times the norm of the largest right-hand side. Works, and answers, in
+    the type of `right`.
     """
-    inverse_diagonal = 1.0 / matrix.diagonal()[:, None]
-    solution = np.array(start, dtype=np.float64)
-    residual = right - matrix @ solution
-    preconditioned = inverse_diagonal * residual
-    direction = preconditioned.copy()
-    product = np.einsum("mc,mc->c", residual, preconditioned)
-    limit = (tolerance**2) * max(float(np.max(np.einsum("mc,mc->c", right, inverse_diagonal * right))), 1e-300)
+    matrix = matrix.astype(right.dtype)
+    inverse_diagonal = (1.0 / matrix.diagonal())[:, None]
+    solution = np.array(start, dtype=right.dtype)
+    channels = np.arange(solution.shape[1])
+    current, residual = solution.copy(), right - matrix @ solution
+    direction = inverse_diagonal * residual
+    product = _column_products(residual, direction)
+    limit = tolerance**2 * max(float(_column_products(right, inverse_diagonal * right).max(initial=0.0)), 1e-30)
     for _ in range(iterations):
-        if product.max(initial=0.0) <= limit:
+        unfinished = product > limit
+        if not unfinished.all():
+            solution[:, channels[~unfinished]] = current[:, ~unfinished]
+            channels, product = channels[unfinished], product[unfinished]
+            current, residual, direction = (
+                np.ascontiguousarray(part[:, unfinished]) for part in (current, residual, direction)
+            )
+        if not len(channels):
             break
         image = matrix @ direction
-        step = product / np.maximum(np.einsum("mc,mc->c", direction, image), 1e-300)
-        solution += step * direction
+        step = product / np.maximum(_column_products(direction, image), 1e-30)
+        current += step * direction
         residual -= step * image
         preconditioned = inverse_diagonal * residual
-        following = np.einsum("mc,mc->c", residual, preconditioned)
-        direction = preconditioned + (following / np.maximum(product, 1e-300)) * direction
+        following = _column_products(residual, preconditioned)
+        direction *= following / np.maximum(product, 1e-30)
+        direction += preconditioned
         product = following
+    solution[:, channels] = current
     return solution
+
+
+def _column_products(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    return np.einsum("mc,mc->c", first, second)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import sparse
 from scipy.interpolate import RegularGridInterpolator
 from scipy.sparse.linalg import spsolve
-from scipy import sparse
 from scipy.spatial import cKDTree
 
 from stages.shared.fields.diffusion import (
@@ -114,11 +114,11 @@ def test_wide_spread_keeps_weights_convex_and_is_mirror_symmetric() -> None:
     left[..., 5] = 0.5
     values = np.stack([left.ravel(), 1.0 - left.ravel()], axis=1)
     lengths = np.full(band.size, 0.3)
-    spread = spread_wide(values, lengths, band, np.array([0.1, 0.1, 0.1]), tolerance=1e-9)
-    np.testing.assert_allclose(spread.sum(axis=1), 1.0, atol=1e-8)
+    spread = spread_wide(values, lengths, band, np.array([0.1, 0.1, 0.1]), tolerance=1e-7)
+    np.testing.assert_allclose(spread.sum(axis=1), 1.0, atol=1e-5)
     assert spread.min() > 0 and spread.max() < 1
     grid = spread[:, 0].reshape(band.shape)
-    np.testing.assert_allclose(grid, 1.0 - grid[..., ::-1], atol=1e-7)
+    np.testing.assert_allclose(grid, 1.0 - grid[..., ::-1], atol=1e-5)
     steps = np.diff(grid[1, 2])
     assert np.abs(steps).max() < 0.25, "the jump of 1 over one cell has become a slope"
     short = spread_wide(values, np.full(band.size, 1e-3), band, np.array([0.1, 0.1, 0.1]))

@@ -1,0 +1,50 @@
+"""`gw segment-layers`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Annotated
+
+import typer
+
+from gw_cli.console import Console, command
+from gw_cli.options import DryRun, Force, Json, Preset, Subject, preset_config
+from stages.shared.errors import UsageProblem
+
+_LABELS = ("auto", "images", "scan")
+
+
+def register(app: typer.Typer) -> None:
+    @app.command("segment-layers")
+    @command
+    def segment_layers(
+        subject: Subject,
+        labels: Annotated[
+            str, typer.Option(help="auto | images | scan: vote of the label images, or labels of the scan.")
+        ] = "auto",
+        preset: Preset = "draft",
+        force: Force = False,
+        dry_run: DryRun = False,
+        as_json: Json = False,
+    ) -> None:
+        """Split the template into the body and the garments that are there, and give them colours.
+
+        Labels come from the label images of the template's frame (every camera votes where it sees the surface)
+        or from the scan. The body is the whole body model, with the hair and shoes of the template.
+        """
+        from stages.segment_layers import stage
+        from stages.segment_layers.config import PRESETS
+
+        console = Console(as_json)
+        if labels not in _LABELS:
+            raise UsageProblem(
+                f"There is no source of labels called {labels!r}.",
+                "option --labels",
+                "Choose one of: " + ", ".join(_LABELS) + ".",
+            )
+        config = replace(preset_config(PRESETS, preset), labels=labels)
+        if dry_run:
+            console.plan(stage.plan(subject, config))
+            return
+        result = stage.run(subject, config, console, force)
+        console.result(result.summary, next_command=f"gw bake-maps {subject}")

@@ -1,0 +1,83 @@
+"""The no-learning baseline: the layers' meshes with projected colours, moved by the bones, ray cast."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from stages.shared.artifacts import Artifact
+from stages.shared.body import BodyModel, Poses, posed_from_canonical, skin
+from stages.shared.capture.camera import Camera
+from stages.shared.capture.labels import NO_LABEL
+from stages.shared.meshes.raycast import RayScene
+
+
+@dataclass(frozen=True, eq=False)
+class Baseline:
+    """All layer meshes as one.
+
+    Attributes:
+        body: bones. betas: (10,) f32 of the subject.
+        vertices: (V, 3) f32 m canonical, of that shape. faces: (F, 3) i32. skin_weights: (V, 55) f32.
+        colors: (V, 3) f32 sRGB 0..255. labels: (V,) u8.
+    """
+
+    body: BodyModel
+    betas: NDArray[np.float32]
+    vertices: NDArray[np.float32]
+    faces: NDArray[np.int32]
+    skin_weights: NDArray[np.float32]
+    colors: NDArray[np.float32]
+    labels: NDArray[np.uint8]
+
+    @classmethod
+    def load(cls, segmented: Artifact, body: BodyModel, betas: NDArray[np.float32]) -> Baseline:
+        """From a segment-layers artifact."""
+        meshes = [segmented.arrays(name) for name in segmented.summary["layers"]]
+        starts = np.cumsum([0] + [len(mesh["vertices"]) for mesh in meshes])
+        shaped = [
+            mesh["vertices"] + np.einsum("b,vbk->vk", betas, mesh["shape_directions"]) for mesh in meshes
+        ]
+        return cls(
+            body,
+            betas,
+            np.concatenate(shaped).astype(np.float32),
+            np.concatenate([mesh["faces"] + start for mesh, start in zip(meshes, starts[:-1], strict=True)]),
+            np.concatenate([mesh["skin_weights"] for mesh in meshes]),
+            np.concatenate([mesh["colors"] for mesh in meshes]).astype(np.float32),
+            np.concatenate([mesh["labels"] for mesh in meshes]),
+        )
+
+    def posed(self, poses: Poses, frame: int) -> RayScene:
+        """The surface in the pose of a row of `poses`, world, ready for rays."""
+        transforms = posed_from_canonical(
+            self.body,
+            torch.from_numpy(poses.rotations[frame]),
+            torch.from_numpy(poses.translation[frame]),
+            torch.from_numpy(self.betas),
+        )
+        moved = skin(torch.from_numpy(self.vertices), torch.from_numpy(self.skin_weights), transforms)
+        return RayScene(moved.numpy(), self.faces)
+
+    def render(
+        self, scene: RayScene, camera: Camera, supersampling: int
+    ) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.uint8]]:
+        """Picture (H, W, 3) u8 on black, alpha (H, W) f32 and label ids (H, W) u8 of a posed surface."""
+        fine = camera.scaled(supersampling)
+        hits = scene.render(fine)
+        color = _averaged(hits.interpolate(self.faces, self.colors), supersampling)
+        alpha = _averaged(hits.hit[..., None].astype(np.float32), supersampling)[..., 0]
+        middle = supersampling // 2
+        labels = hits.largest_corner(self.faces, self.labels, outside=NO_LABEL)
+        picture = np.clip(np.rint(color), 0, 255).astype(np.uint8)
+        return picture, alpha, np.ascontiguousarray(labels[middle::supersampling, middle::supersampling])
+
+
+def _averaged(values: NDArray[np.float32], factor: int) -> NDArray[np.float32]:
+    """Mean over blocks of factor × factor pixels: (h f, w f, C) -> (h, w, C)."""
+    height, width, channels = values.shape
+    blocks = values.reshape(height // factor, factor, width // factor, factor, channels)
+    return np.asarray(blocks.mean(axis=(1, 3), dtype=np.float32))

@@ -1,0 +1,37 @@
+"""Settings of `gw evaluate`; light."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+SPLITS = ("novel-pose", "novel-view")
+METHODS = ("trained", "baseline")
+
+
+@dataclass(frozen=True)
+class EvaluateConfig:
+    """Which views are scored, and what is scored on them.
+
+    Attributes:
+        splits: "novel-pose" (test takes, training cameras), "novel-view" (training take, held-out cameras).
+        methods: "trained", and "baseline": the layers' meshes with projected colours, moved by the bones.
+        frame_step: every so many-th frame of the training take for novel views.
+        test_frame_step: the same for test takes.
+        pictures: side-by-side pictures per split.
+        supersampling: rays per pixel and axis of the baseline's render.
+    """
+
+    splits: tuple[str, ...] = SPLITS
+    methods: tuple[str, ...] = METHODS
+    frame_step: int = 5
+    test_frame_step: int = 1
+    pictures: int = 4
+    supersampling: int = 2
+
+
+PRESETS: dict[str, EvaluateConfig] = {
+    "tiny": EvaluateConfig(pictures=2, supersampling=1),
+    "draft": EvaluateConfig(),
+    "balanced": EvaluateConfig(),
+    "paper": EvaluateConfig(),
+}

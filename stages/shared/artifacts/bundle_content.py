@@ -1,0 +1,245 @@
+"""What the manifest and the arrays of a bundle mean, and which values cannot be meant.
+
+Manifest:
+    kind            "body" or "garment"
+    layer           "body", "lower", "upper" or "outer"
+    slots           layers a garment takes up: ["lower"], or ["lower", "upper"] for a dress; [] for a body
+    body_model      {"digest": hex, "convention": "SMPL-X", "joints": 55, "betas": 10}
+    grid            {"pitch": m per texel, "centre": [x, y, z] m, "size": texels per side}
+    units, frames   texts for people
+    model           configuration of the layer's model
+    training        configuration and scores, as trained
+    note            a text
+Arrays (N texels):
+    maps/texels (N,3) i32 view, row, column · maps/window (4,) i32 · maps/neighbours (N,4) i32
+    maps/seams (S,2) i32
+    maps/positions, maps/normals (N,3) f32 · maps/skin_weights (N,55) f32 · maps/shape_directions (N,10,3) f32
+    maps/spacing, maps/color_confidence (N,) f32 · maps/colors (N,3) f32
+    model/…         the model's tensors
+    betas (10,) f32 shape of the person the layer was learned from
+    swap/texels (K,3) i32, swap/offsets (K,3) f32 m, swap/quaternions (K,4) f32
+                    (garment) the body of the source beneath the garment
+    body/…          (body) the body model's arrays
+    preview (H,W,3) u8 sRGB
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from stages.shared.artifacts.arrays import Arrays
+from stages.shared.errors import BadData
+
+LAYERS = ("body", "lower", "upper", "outer")
+JOINTS = 55
+BETAS = 10
+MAX_TEXELS = 2_000_000
+MAX_GRID = 4096
+_BOX = 2.0  # metres: no canonical point is farther from the origin along an axis
+_LARGEST_PREVIEW = 2048
+
+_MAPS: dict[str, tuple[tuple[int, ...], str]] = {
+    "texels": ((3,), "i"),
+    "neighbours": ((4,), "i"),
+    "positions": ((3,), "f"),
+    "normals": ((3,), "f"),
+    "skin_weights": ((JOINTS,), "f"),
+    "shape_directions": ((BETAS, 3), "f"),
+    "spacing": ((), "f"),
+    "colors": ((3,), "f"),
+    "color_confidence": ((), "f"),
+}
+_BODY = ("template_vertices", "faces", "shape_directions", "joint_regressor", "skin_weights")
+_BODY_OPTIONAL = ("hand_components_left", "hand_components_right", "hand_mean_left", "hand_mean_right")
+
+
+def check_manifest(manifest: dict[str, Any], where: str) -> None:
+    """Raise BadData unless every field that is read later is there and of its kind."""
+    allowed = {
+        "kind": str,
+        "layer": str,
+        "slots": list,
+        "body_model": dict,
+        "grid": dict,
+        "units": dict,
+        "frames": dict,
+        "model": dict,
+        "training": dict,
+        "note": str,
+        "schema": dict,
+        "tensors": dict,
+    }
+    for name, kind in allowed.items():
+        if not isinstance(manifest.get(name), kind):
+            raise _bad(f"its manifest lacks {name!r}, or it is not of its kind", where)
+    kind, layer, slots = manifest["kind"], manifest["layer"], manifest["slots"]
+    if kind not in ("body", "garment") or layer not in LAYERS or (kind == "body") != (layer == "body"):
+        raise _bad(f"it is of kind {kind!r} and layer {layer!r}", where)
+    fitting = [] if kind == "body" else [slot for slot in LAYERS[1:] if slot in slots]
+    if slots != fitting or (kind == "garment" and layer not in slots):
+        raise _bad(f"its slots {str(slots)[:80]} do not fit its layer {layer}", where)
+    body = manifest["body_model"]
+    digest = body.get("digest")
+    if not isinstance(digest, str) or len(digest) != 64 or not set(digest) <= set("0123456789abcdef"):
+        raise _bad("its body model has no digest", where)
+    if body.get("joints") != JOINTS or body.get("betas") != BETAS:
+        raise _bad(f"its body model has not {JOINTS} joints and {BETAS} shape directions", where)
+    grid = manifest["grid"]
+    pitch, size, centre = grid.get("pitch"), grid.get("size"), grid.get("centre")
+    if not _is_number(pitch) or not 1e-4 <= pitch <= 0.1:
+        raise _bad("the pitch of its grid is not between 0.1 mm and 10 cm", where)
+    if type(size) is not int or not 1 <= size <= MAX_GRID:
+        raise _bad(f"its grid does not have 1 to {MAX_GRID} texels a side", where)
+    good_centre = isinstance(centre, list) and len(centre) == 3 and all(_is_number(x) for x in centre)
+    if not good_centre or max(abs(x) for x in centre) > _BOX:
+        raise _bad("the centre of its grid is not a point near the body", where)
+
+
+def check_arrays(manifest: dict[str, Any], arrays: Arrays, where: str) -> None:
+    """Raise BadData unless the arrays are finite, fit together, and hold what their names say."""
+    for name, array in arrays.items():
+        if array.dtype.kind == "f" and not np.isfinite(array).all():
+            raise _bad("a tensor holds NaN or infinity", where, name)
+        if array.size == 0 and name not in ("maps/seams",) and not name.startswith("swap/"):
+            raise _bad("a tensor is empty", where, name)
+        if name.startswith("model/") and array.dtype.kind == "f" and np.abs(array).max() > 1e6:
+            raise _bad("a tensor of the model has values beyond a million", where, name)
+    _check_maps(manifest["grid"]["size"], arrays, where)
+    _expect("betas", arrays, (BETAS,), "f", where)
+    if np.abs(arrays["betas"]).max() > 20:
+        raise _bad("a shape coefficient is beyond 20", where, "betas")
+    preview = _named("preview", arrays, where)
+    if preview.dtype != np.uint8 or preview.ndim != 3 or preview.shape[2] != 3:
+        raise _bad("the preview is not an 8-bit colour picture", where, "preview")
+    if max(preview.shape) > _LARGEST_PREVIEW:
+        raise _bad(f"the preview is larger than {_LARGEST_PREVIEW} pixels", where, "preview")
+    if manifest["kind"] == "body":
+        _check_body(arrays, where)
+    elif any(name.startswith("body/") for name in arrays):
+        raise _bad("a garment carries a body model", where)
+    if any(name.startswith("swap/") for name in arrays):
+        _check_swap(manifest, arrays, where)
+    known = {f"maps/{name}" for name in (*_MAPS, "window", "seams")} | {"betas", "preview"}
+    known |= {f"swap/{name}" for name in ("texels", "offsets", "quaternions")}
+    known |= {f"body/{name}" for name in (*_BODY, *_BODY_OPTIONAL)}
+    for name in arrays:
+        if name not in known and not name.startswith("model/"):
+            raise _bad("a tensor has a name that means nothing", where, name)
+
+
+def _check_maps(grid_size: int, arrays: Arrays, where: str) -> None:
+    count = len(_named("maps/texels", arrays, where))
+    if not 1 <= count <= MAX_TEXELS:
+        raise _bad(f"it has {count} texels, not 1 to {MAX_TEXELS}", where)
+    for name, (shape, kind) in _MAPS.items():
+        _expect(f"maps/{name}", arrays, (count, *shape), kind, where)
+    _expect("maps/window", arrays, (4,), "i", where)
+    seams = _named("maps/seams", arrays, where)
+    if seams.dtype != np.int32 or seams.ndim != 2 or seams.shape[1] != 2:
+        raise _bad("the seams are not pairs of texels", where, "maps/seams")
+    row, column, height, width = (int(value) for value in arrays["maps/window"])
+    if min(row, column) < 0 or min(height, width) < 1 or max(row + height, column + width) > grid_size:
+        raise _bad("the window lies outside the grid", where, "maps/window")
+    texels = arrays["maps/texels"]
+    low, high = np.array([0, row, column]), np.array([2, row + height, column + width])
+    if (texels < low).any() or (texels >= high).any():
+        raise _bad("a texel lies outside the window", where, "maps/texels")
+    numbers = (texels[:, 0].astype(np.int64) * grid_size + texels[:, 1]) * grid_size + texels[:, 2]
+    if (np.diff(numbers) <= 0).any():
+        raise _bad("the texels are not in order, or one stands twice", where, "maps/texels")
+    for name, lowest in (("maps/neighbours", -1), ("maps/seams", 0)):
+        if arrays[name].size and (arrays[name].min() < lowest or arrays[name].max() >= count):
+            raise _bad("a texel is named that does not exist", where, name)
+    _check_weights(arrays["maps/skin_weights"], 1e-3, where, "maps/skin_weights")
+    if np.abs(arrays["maps/positions"]).max() > _BOX:
+        raise _bad(f"a point is farther than {_BOX} m from the origin", where, "maps/positions")
+    if np.abs(arrays["maps/shape_directions"]).max() > 1:
+        raise _bad("the shape moves a point by more than a metre", where, "maps/shape_directions")
+    lengths = np.linalg.norm(arrays["maps/normals"], axis=1)
+    if lengths.min() < 0.5 or lengths.max() > 1.01:
+        raise _bad("a normal has not length one", where, "maps/normals")
+    for name, low_value, high_value in (
+        ("spacing", 1e-6, 1.0),
+        ("colors", -0.01, 1.01),
+        ("color_confidence", 0, 2),
+    ):
+        values = arrays[f"maps/{name}"]
+        if values.min() < low_value or values.max() > high_value:
+            raise _bad(f"a value is not between {low_value} and {high_value}", where, f"maps/{name}")
+
+
+def _check_body(arrays: Arrays, where: str) -> None:
+    count = len(_named("body/template_vertices", arrays, where))
+    shapes = {
+        "template_vertices": (count, 3),
+        "shape_directions": (count, 3, BETAS),
+        "joint_regressor": (JOINTS, count),
+        "skin_weights": (count, JOINTS),
+    }
+    for name, shape in shapes.items():
+        _expect(f"body/{name}", arrays, shape, "f", where)
+    faces = _named("body/faces", arrays, where)
+    if (
+        faces.dtype != np.int32
+        or faces.ndim != 2
+        or faces.shape[1] != 3
+        or faces.min() < 0
+        or faces.max() >= count
+    ):
+        raise _bad("the faces are not triples of vertices", where, "body/faces")
+    _check_weights(arrays["body/skin_weights"], 1e-2, where, "body/skin_weights")
+    if np.abs(arrays["body/joint_regressor"].sum(axis=1) - 1).max() > 1e-2:
+        raise _bad("rows do not sum to one", where, "body/joint_regressor")
+    if np.abs(arrays["body/template_vertices"]).max() > _BOX:
+        raise _bad(f"a point is farther than {_BOX} m from the origin", where, "body/template_vertices")
+
+
+def _check_swap(manifest: dict[str, Any], arrays: Arrays, where: str) -> None:
+    if manifest["kind"] != "garment":
+        raise _bad("a body carries what lies beneath a garment", where)
+    texels = _named("swap/texels", arrays, where)
+    count, size = len(texels), manifest["grid"]["size"]
+    _expect("swap/texels", arrays, (count, 3), "i", where)
+    _expect("swap/offsets", arrays, (count, 3), "f", where)
+    _expect("swap/quaternions", arrays, (count, 4), "f", where)
+    if not count:
+        return
+    if texels.min() < 0 or texels.max() >= size or texels[:, 0].max() > 1:
+        raise _bad("a texel lies outside the grid", where, "swap/texels")
+    if np.abs(arrays["swap/offsets"]).max() > 1:
+        raise _bad("an offset is longer than a metre", where, "swap/offsets")
+    if np.abs(np.linalg.norm(arrays["swap/quaternions"], axis=1) - 1).max() > 1e-3:
+        raise _bad("a quaternion has not length one", where, "swap/quaternions")
+
+
+def _check_weights(weights: np.ndarray, tolerance: float, where: str, name: str) -> None:
+    if weights.min() < -1e-6 or np.abs(weights.sum(axis=1, dtype=np.float64) - 1).max() > tolerance:
+        raise _bad("skinning weights are negative, or a row does not sum to one", where, name)
+
+
+def _expect(name: str, arrays: Arrays, shape: tuple[int, ...], kind: str, where: str) -> None:
+    array = _named(name, arrays, where)
+    if array.shape != shape:
+        raise _bad(f"the shape {array.shape} is not {shape}", where, name)
+    if array.dtype != (np.int32 if kind == "i" else np.float32):
+        raise _bad(f"the type {array.dtype} is not the one it must have", where, name)
+
+
+def _named(name: str, arrays: Arrays, where: str) -> np.ndarray:
+    if name not in arrays or arrays[name].ndim == 0:
+        raise _bad("a tensor is missing", where, name)
+    return arrays[name]
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _bad(what: str, where: str, tensor: str | None = None) -> BadData:
+    return BadData(
+        f"The bundle cannot be used: {what}.",
+        where if tensor is None else f"{where}, tensor {tensor!r}",
+        "Fetch a whole copy, or export it again from its subject.",
+    )

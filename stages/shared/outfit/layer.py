@@ -1,0 +1,98 @@
+"""One layer ready to be worn: its maps, its model, and where it goes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from stages.shared.artifacts import Artifact
+from stages.shared.artifacts.bundle import Bundle
+from stages.shared.avatar.maps import LayerMaps
+from stages.shared.avatar.model import LayerModel
+from stages.shared.capture.labels import LABELS
+
+
+@dataclass(frozen=True, eq=False)
+class Beneath:
+    """The source's body beneath a garment: attributes of the body texels that the garment covers.
+
+    Attributes:
+        texels: (K, 3) int64 view, row, column on the global grid, sorted.
+        offsets: (K, 3) m canonical. quaternions: (K, 4) unit wxyz. Means over the training poses.
+    """
+
+    texels: Tensor
+    offsets: Tensor
+    quaternions: Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class WornLayer:
+    """A body or a garment.
+
+    Attributes:
+        name: "body", "lower", "upper" or "outer".
+        slots: layers it takes up; () for a body.
+        maps, model: as trained.
+        source: digest of the training it comes from, to tell pieces that were learned together.
+        beneath: of a garment, when its bundle carries it.
+    """
+
+    name: str
+    slots: tuple[str, ...]
+    maps: LayerMaps
+    model: LayerModel
+    source: str = ""
+    beneath: Beneath | None = None
+
+    @property
+    def label(self) -> int:
+        """Its id in label images; the body counts as skin."""
+        return label_of(self.name)
+
+
+def label_of(layer: str) -> int:
+    """Label id of a layer: 0 for the body, else that of the garment."""
+    if layer == "body":
+        return 0
+    return next(label for label, name in LABELS.items() if name == layer)
+
+
+def layer_of_bundle(bundle: Bundle) -> WornLayer:
+    """The layer in a bundle. Raises BadData where model and maps do not fit."""
+    manifest = bundle.manifest
+    grid = manifest["grid"]
+    maps = LayerMaps.from_arrays(
+        bundle.layer, bundle.group("maps"), grid["pitch"], grid["centre"], grid["size"]
+    )
+    model = _model(manifest["model"], maps, bundle.group("model"))
+    beneath = None
+    swap = bundle.group("swap")
+    if swap and len(swap["texels"]):
+        beneath = Beneath(
+            torch.from_numpy(swap["texels"].astype(np.int64)),
+            torch.from_numpy(swap["offsets"].copy()),
+            torch.from_numpy(swap["quaternions"].copy()),
+        )
+    source = str(manifest["training"].get("source", ""))
+    return WornLayer(bundle.layer, tuple(manifest["slots"]), maps, model, source, beneath)
+
+
+def layer_of_training(name: str, baked: Artifact, trained: Artifact) -> WornLayer:
+    """A layer of a trained subject, from its bake-maps and train artifacts."""
+    maps = LayerMaps.load(baked, name)
+    config = trained.json("model.json")["layers"][name]
+    model = _model(config, maps, trained.arrays(f"{name}.safetensors"))
+    return WornLayer(name, () if name == "body" else (name,), maps, model, trained.digest)
+
+
+def _model(config: dict[str, Any], maps: LayerMaps, arrays: dict[str, np.ndarray]) -> LayerModel:
+    tensors = {name: torch.from_numpy(np.array(array, dtype=np.float32)) for name, array in arrays.items()}
+    model = LayerModel.from_state(config, maps, tensors).eval()
+    for parameter in model.parameters():
+        parameter.requires_grad_(False)
+    return model

@@ -1,0 +1,143 @@
+"""What is worn: slots, order, conflicts; and the whole outfit in a pose."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from stages.shared.artifacts import Artifact
+from stages.shared.artifacts.bundle import Bundle
+from stages.shared.avatar.compose import Composite, compose
+from stages.shared.avatar.deform import PosedGaussians, pose_layer
+from stages.shared.avatar.pose import frame_pose
+from stages.shared.body import BodyModel, Poses
+from stages.shared.capture.labels import LAYERS
+from stages.shared.errors import BadData, UsageProblem
+from stages.shared.outfit.layer import WornLayer, layer_of_bundle, layer_of_training
+from stages.shared.outfit.swap import Swap, plan_swap, swapped
+
+
+@dataclass(frozen=True, eq=False)
+class Outfit:
+    """A dressed body.
+
+    Attributes:
+        body_model: bones and their weights on the shape.
+        betas: (10,) f32 shape of the wearer, β*.
+        layers: inner to outer, body first.
+        swaps: changes of the body's form beneath garments of other people.
+    """
+
+    body_model: BodyModel
+    betas: NDArray[np.float32]
+    layers: tuple[WornLayer, ...]
+    swaps: tuple[Swap, ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the layers, inner to outer."""
+        return tuple(layer.name for layer in self.layers)
+
+    @property
+    def gaussians(self) -> int:
+        """Number of Gaussians of all layers."""
+        return sum(len(layer.maps) for layer in self.layers)
+
+    @torch.no_grad()
+    def posed(self, poses: Poses, frame: int) -> dict[str, PosedGaussians]:
+        """All layers in the pose of a row of `poses`, in the world. Its betas are not used."""
+        pose = frame_pose(
+            self.body_model,
+            torch.from_numpy(poses.rotations[frame]),
+            torch.from_numpy(poses.translation[frame]),
+            torch.from_numpy(self.betas),
+        )
+        posed = {}
+        for layer in self.layers:
+            attributes = layer.model(pose.local_transforms)
+            if layer.name == "body":
+                attributes = swapped(attributes, list(self.swaps))
+            posed[layer.name] = pose_layer(layer.maps, attributes, pose.transforms, pose.betas)
+        return posed
+
+    def composite(self, poses: Poses, frame: int) -> Composite:
+        """All Gaussians together, in the pose of a row of `poses`."""
+        return compose(self.posed(poses, frame))
+
+
+def outfit_of_bundles(
+    named: Sequence[tuple[str, Bundle]], betas: NDArray[np.float32] | None = None, swap: bool = True
+) -> Outfit:
+    """Dress a body bundle in garment bundles.
+
+    Arguments:
+        named: (name for messages, bundle), in any order: the layers decide which lies over which.
+        betas: (10,) shape of the wearer; the body bundle's own when None.
+        swap: take the form of garment sources beneath their garments.
+
+    Raises:
+        UsageProblem: no body, two bodies, two garments for one slot. BadData: made for another body model.
+    """
+    body_name, body = _the_body(named)
+    garments = [(name, bundle) for name, bundle in named if bundle.kind == "garment"]
+    _check_slots(garments)
+    wanted = body.manifest["body_model"]["digest"]
+    for name, bundle in garments:
+        if bundle.manifest["body_model"]["digest"] != wanted:
+            raise BadData(
+                f"{name} was made with another body model than {body_name}.",
+                name,
+                "Train and export both with the same body model (gw register-template --body-model).",
+            )
+    ordered = sorted(garments, key=lambda item: LAYERS.index(item[1].layer))
+    layers = tuple(layer_of_bundle(bundle) for _, bundle in [(body_name, body), *ordered])
+    swaps = [plan_swap(layers[0], layer) for layer in layers[1:]] if swap else []
+    shape = body.arrays["betas"] if betas is None else betas
+    return Outfit(
+        BodyModel.from_arrays(body.group("body"), body_name),
+        np.asarray(shape, dtype=np.float32),
+        layers,
+        tuple(change for change in swaps if change is not None),
+    )
+
+
+def outfit_of_training(registered: Artifact, baked: Artifact, trained: Artifact) -> Outfit:
+    """A trained subject in its own clothes, from its register-template, bake-maps and train artifacts."""
+    from stages.shared.poses.read import load_poses
+
+    body = BodyModel.from_arrays(registered.arrays("body.safetensors"))
+    poses = load_poses(registered.file("smpl_params.npz"), body)
+    names = [name for name in LAYERS if name in trained.json("model.json")["layers"]]
+    return Outfit(body, poses.betas, tuple(layer_of_training(name, baked, trained) for name in names))
+
+
+def _the_body(named: Sequence[tuple[str, Bundle]]) -> tuple[str, Bundle]:
+    bodies = [(name, bundle) for name, bundle in named if bundle.kind == "body"]
+    if not bodies:
+        raise UsageProblem(
+            "None of the bundles is a body.",
+            ", ".join(name for name, _ in named) or "bundles",
+            "Add one: gw export-garment SUBJECT --layer body -o body.gwg.",
+        )
+    if len(bodies) > 1:
+        raise UsageProblem(
+            f"There are {len(bodies)} bodies.", ", ".join(name for name, _ in bodies), "Leave one of them."
+        )
+    return bodies[0]
+
+
+def _check_slots(garments: Sequence[tuple[str, Bundle]]) -> None:
+    taken: dict[str, str] = {}
+    for name, bundle in garments:
+        for slot in bundle.manifest["slots"]:
+            if slot in taken:
+                raise UsageProblem(
+                    f"{taken[slot]} and {name} are both worn as {slot}.",
+                    f"{taken[slot]}, {name}",
+                    "Leave one of them out.",
+                )
+            taken[slot] = name

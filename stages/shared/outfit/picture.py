@@ -1,0 +1,131 @@
+"""One picture of an outfit: colour, coverage, depth, labels, and each layer alone when asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from stages.shared.avatar.compose import Composite
+from stages.shared.capture.camera import Camera
+from stages.shared.capture.labels import NO_LABEL
+from stages.shared.outfit.layer import label_of
+from stages.shared.outfit.penetration import PenetrationConfig, repair
+from stages.shared.splat.api import rasterize, rasterize_layers
+from stages.shared.splat.rendering import Rendering
+
+Floats = NDArray[np.float32]
+_LABEL_ALPHA = 0.1  # thinner than this shows the background (the published protocol)
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """What a camera sees.
+
+    Attributes:
+        color: (H, W, 3) f32 sRGB 0..1, multiplied by alpha (on black).
+        alpha: (H, W) f32 0..1. depth: (H, W) f32 m along the optical axis, 0 where nothing is.
+        labels: (H, W) u8 label ids, 255 where nothing is.
+        layers: name to (H, W, 4) f32 colour times alpha, and alpha, of each layer as if it were alone.
+        repaired: (H, W) pixels that the penetration pass changed from an inner layer to a garment.
+        counts: "inner/outer" to the number of such pixels.
+    """
+
+    color: Floats
+    alpha: Floats
+    depth: Floats
+    labels: NDArray[np.uint8]
+    layers: dict[str, Floats] = field(default_factory=dict)
+    repaired: NDArray[np.bool_] | None = None
+    counts: dict[str, int] = field(default_factory=dict)
+
+    def on(self, background: tuple[float, float, float]) -> NDArray[np.uint8]:
+        """(H, W, 3) u8 sRGB over a plain colour (0..1)."""
+        behind = np.asarray(background, np.float32)
+        return to_bytes(self.color + (1 - self.alpha[..., None]) * behind)
+
+    def straight(self) -> NDArray[np.uint8]:
+        """(H, W, 4) u8 as PNG wants it: colour not multiplied by alpha."""
+        return to_bytes(straight_alpha(self.color, self.alpha))
+
+
+def take_picture(
+    composite: Composite,
+    camera: Camera,
+    penetration: PenetrationConfig | None = None,
+    each_layer: bool = False,
+    backend: str = "auto",
+) -> Shot:
+    """Render a composite through a camera.
+
+    Arguments:
+        penetration: run the penetration pass with these tolerances; None leaves the splats as they are.
+        each_layer: also return every layer alone.
+    """
+    view = torch.from_numpy(camera.camera_from_world).to(composite.means)
+    intrinsics = torch.from_numpy(camera.intrinsics).to(composite.means)
+    gaussians = (composite.means, None, None, composite.opacities, composite.features, view, intrinsics)
+    size = (camera.width, camera.height)
+    with torch.no_grad():
+        if penetration is None and not each_layer:
+            picture = rasterize(*gaussians, *size, covars=composite.covariances, backend=backend)
+            return _shot(picture, composite.layers)
+        layered = rasterize_layers(
+            *gaussians,
+            *size,
+            covars=composite.covariances,
+            layer_ids=composite.layer_ids,
+            layers=len(composite.layers),
+            backend=backend,
+        )
+        alone = {}
+        if each_layer:
+            alone = {
+                name: np.dstack([_bounded(part.features[..., :3]), part.alpha.numpy()])
+                for name, part in zip(composite.layers, layered.layers, strict=True)
+            }
+        if penetration is None:
+            return _shot(layered.composite, composite.layers, alone)
+        repaired = repair(layered, composite.layers, penetration)
+    return _shot(repaired.rendering, composite.layers, alone, repaired.mask, repaired.counts)
+
+
+def _shot(
+    picture: Rendering,
+    layers: tuple[str, ...],
+    alone: dict[str, Floats] | None = None,
+    repaired: NDArray[np.bool_] | None = None,
+    counts: dict[str, int] | None = None,
+) -> Shot:
+    alpha = picture.alpha.numpy()
+    ids = np.array([label_of(name) for name in layers], np.uint8)
+    winner = picture.features[..., 3:].argmax(dim=-1).numpy()
+    labels = np.where(alpha >= _LABEL_ALPHA, ids[winner], np.uint8(NO_LABEL)).astype(np.uint8)
+    return Shot(
+        _bounded(picture.features[..., :3]),
+        alpha,
+        picture.expected_depth.numpy(),
+        labels,
+        alone or {},
+        repaired,
+        counts or {},
+    )
+
+
+def straight_alpha(color: Floats, alpha: Floats) -> Floats:
+    """(H, W, 4) colour divided by alpha (0 where there is none), and alpha."""
+    covered = alpha > 1 / 512
+    plain = np.where(covered[..., None], color / np.where(covered, alpha, 1)[..., None], 0)
+    return np.dstack([plain, alpha]).astype(np.float32)
+
+
+def to_bytes(values: Floats) -> NDArray[np.uint8]:
+    """0..1 to 8 bits, rounded."""
+    return np.rint(np.clip(values, 0, 1) * 255).astype(np.uint8)
+
+
+def _bounded(features: Tensor) -> Floats:
+    return np.asarray(features.clamp(0, 1).numpy())

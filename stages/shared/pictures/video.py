@@ -1,0 +1,86 @@
+"""Video that plays in every browser: H.264 in MP4 where the encoder is there, VP9 in WebM otherwise."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.shared.errors import BadData
+
+
+def video_suffix() -> str:
+    """ ".mp4" where H.264 can be written, else ".webm"."""
+    import av
+
+    return ".mp4" if "libx264" in av.codecs_available else ".webm"
+
+
+class VideoWriter:
+    """Context manager: frames go to the file as they come, so memory does not grow with the length.
+
+    Arguments:
+        path: ends in .mp4 (H.264) or .webm (VP9); inside a temporary folder if it must be whole or absent.
+        fps: frames per second.
+    """
+
+    def __init__(self, path: Path, fps: float) -> None:
+        self.path, self.fps = path, fps
+        self._container: Any = None
+        self._stream: Any = None
+        self._size: tuple[int, int] | None = None
+
+    def __enter__(self) -> VideoWriter:
+        import av
+
+        options = {"movflags": "+faststart"} if self.path.suffix == ".mp4" else {}
+        self._container = av.open(str(self.path), "w", options=options)
+        return self
+
+    def add(self, picture: NDArray[np.uint8]) -> None:
+        """Append a frame (H, W, 3) u8 sRGB; odd sides get one more row or column.
+
+        Raises:
+            BadData: a frame of another size than the first.
+        """
+        import av
+
+        if self._size is None:
+            self._size = (picture.shape[1], picture.shape[0])
+            self._open_stream(*self._size)
+        if (picture.shape[1], picture.shape[0]) != self._size:
+            raise BadData(
+                f"A frame has {picture.shape[1]} x {picture.shape[0]} pixels, the first {self._size[0]} x "
+                f"{self._size[1]}.",
+                str(self.path),
+                "Give frames of one size.",
+            )
+        even = np.pad(picture, ((0, picture.shape[0] % 2), (0, picture.shape[1] % 2), (0, 0)), mode="edge")
+        frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(even), format="rgb24")
+        for packet in self._stream.encode(frame):
+            self._container.mux(packet)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if error is None and self._stream is not None:
+                for packet in self._stream.encode(None):
+                    self._container.mux(packet)
+        finally:
+            self._container.close()
+
+    def _open_stream(self, width: int, height: int) -> None:
+        mp4 = self.path.suffix == ".mp4"
+        rate = Fraction(self.fps).limit_denominator(1001)
+        self._stream = self._container.add_stream("libx264" if mp4 else "libvpx-vp9", rate=rate)
+        self._stream.width, self._stream.height = width + width % 2, height + height % 2
+        self._stream.pix_fmt = "yuv420p"
+        # Threads off: the same frames give the same bytes.
+        self._stream.codec_context.thread_count = 1
+        quality = {"crf": "20", "preset": "medium"} if mp4 else {"crf": "30", "b": "0", "deadline": "good"}
+        self._stream.options = quality

@@ -11,7 +11,8 @@ from stages.shared.avatar.config import PAPER_MODEL, ModelConfig
 class LossWeights:
     """Weight of every term; 0 switches a term off.
 
-    `l1`, `ssim`, `label`, `silhouette` compare pictures; `penetration` (hinge, m²), `offset` (m²), `smooth`
+    `l1`, `ssim`, `label`, `silhouette` compare pictures; `flow` (m) pulls Gaussians along the optical flow from
+    render to image, in the first part of a run (`flow_until`); `penetration` (hinge, m²), `offset` (m²), `smooth`
     (mm²), `seam` (mm²), `opacity` and `covered_skin` act on the Gaussians. The defaults are the published
     ones.
     """
@@ -25,6 +26,7 @@ class LossWeights:
     smooth: float = 0.005
     opacity: float = 0.01
     seam: float = 0.0
+    flow: float = 0.0
     covered_skin: float = 0.0
 
 
@@ -51,6 +53,7 @@ class TrainConfig:
         frame_step: learn from every so many-th frame. views_per_step: cameras splatted per network pass.
         image_scale: size of the pictures learned from, 1 is the capture's. coarse_scale, coarse_until:
             smaller pictures up to this share of the run.
+        flow_until: share of the run in which the flow term is on.
         stage_two: share of the run after which penetration and smoothing are on.
         rate_end: learning rates end (cosine) at this share of their start.
         clip: ceiling of the global gradient norm; 0 for none.
@@ -65,8 +68,9 @@ class TrainConfig:
     frame_step: int = 5
     views_per_step: int = 4
     image_scale: float = 1.0
-    coarse_scale: float = 0.5
-    coarse_until: float = 0.35
+    coarse_scale: float = 0.25
+    coarse_until: float = 0.3
+    flow_until: float = 0.6
     stage_two: float = 0.2
     rate_end: float = 0.05
     clip: float = 1.0
@@ -79,7 +83,14 @@ class TrainConfig:
 
 
 _ECONOMY = LossWeights(
-    ssim=0.2, penetration=50.0, offset=1.0, smooth=0.002, opacity=0.005, seam=0.0005, covered_skin=0.02
+    ssim=0.2,
+    penetration=50.0,
+    offset=1.0,
+    smooth=0.002,
+    opacity=0.005,
+    seam=0.0005,
+    flow=2.0,
+    covered_skin=0.02,
 )
 DRAFT = TrainConfig(weights=_ECONOMY)
 PRESETS: dict[str, TrainConfig] = {

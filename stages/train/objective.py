@@ -12,6 +12,7 @@ from stages.shared.avatar.deform import PosedGaussians
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.capture import Camera
 from stages.shared.losses.covered_skin import covered_skin_loss, hand_texels
+from stages.shared.losses.flow import dense_flow, flow_loss
 from stages.shared.losses.l1 import l1
 from stages.shared.losses.label import label_loss
 from stages.shared.losses.offset import offset_loss
@@ -36,8 +37,18 @@ def camera_tensors(camera: Camera, like: Tensor) -> tuple[Tensor, Tensor]:
     return matrix, torch.from_numpy(camera.intrinsics).to(like)
 
 
-def render(composite: Composite, camera: Camera) -> tuple[Tensor, Tensor, Tensor]:
-    """Colour (H, W, 3) on black, layer labels (H, W, L) and alpha (H, W) of a composite."""
+@dataclass(frozen=True)
+class Picture:
+    """What a camera sees of a composite: color (H, W, 3) on black, labels (H, W, L), alpha (H, W), depth (H, W) m."""
+
+    color: Tensor
+    labels: Tensor
+    alpha: Tensor
+    depth: Tensor
+
+
+def render(composite: Composite, camera: Camera) -> Picture:
+    """Colours, labels, alpha and expected depth of a composite, in one pass."""
     viewmat, intrinsics = camera_tensors(camera, composite.means)
     picture = rasterize(
         composite.means,
@@ -51,7 +62,8 @@ def render(composite: Composite, camera: Camera) -> tuple[Tensor, Tensor, Tensor
         camera.height,
         covars=composite.covariances,
     )
-    return picture.features[..., :3], picture.features[..., 3:], picture.alpha
+    features = picture.features
+    return Picture(features[..., :3], features[..., 3:], picture.alpha, picture.expected_depth.detach())
 
 
 def picture_terms(
@@ -61,18 +73,25 @@ def picture_terms(
 
     `background` (3,) lies behind render and truth alike; pixels on the mask's edge do not count.
     """
-    color, labels, alpha = render(composite, view.camera)
+    picture = render(composite, view.camera)
     valid = view.valid[..., None]
-    image = (color + (1.0 - alpha)[..., None] * background) * valid
+    image = picture.color + (1.0 - picture.alpha)[..., None] * background
     inside = view.inside[..., None]
-    truth = (view.image * inside + background * (1.0 - inside)) * valid
+    truth = view.image * inside + background * (1.0 - inside)
     terms = {}
+    if weights.flow > 0:
+        flow, trusted = dense_flow(image, truth)
+        matrices = camera_tensors(view.camera, composite.means)
+        terms["flow"] = flow_loss(
+            composite.means, *matrices, picture.depth, flow.to(image), trusted.to(image.device)
+        )
+    image, truth = image * valid, truth * valid
     if weights.l1 > 0:
         terms["l1"] = l1(image, truth)
     if weights.ssim > 0:
         terms["ssim"] = ssim_loss(image, truth)
     if weights.label > 0:
-        terms["label"] = label_loss(labels, view.labels, view.known, label_kind)
+        terms["label"] = label_loss(picture.labels, view.labels, view.known, label_kind)
     if weights.silhouette > 0 and "body" in composite.layers:
         terms["silhouette"] = _silhouette(composite, view)
     return terms

@@ -29,10 +29,11 @@ def preview(trainer: Trainer, choices: list[tuple[int, str]]) -> NDArray[np.uint
         view = trainer.views.view(frame, camera, trainer.config.image_scale)
         with torch.no_grad():
             composite = compose(trainer.posed(frame))
-            color, labels, alpha = (part.cpu() for part in render(composite, view.camera))
+            seen = render(composite, view.camera)
+        alpha = seen.alpha.cpu()
         paper = torch.full((3,), _GREY / 255.0)
-        picture = color + (1.0 - alpha)[..., None] * paper
-        chart = labels @ _layer_colors(composite.layers) + (1.0 - alpha)[..., None] * paper
+        picture = seen.color.cpu() + (1.0 - alpha)[..., None] * paper
+        chart = seen.labels.cpu() @ _layer_colors(composite.layers) + (1.0 - alpha)[..., None] * paper
         rows.append(np.concatenate([_truth(view), _bytes(picture), _bytes(chart)], axis=1))
     width = max(row.shape[1] for row in rows)
     padded = [np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0)), constant_values=_GREY) for row in rows]

@@ -6,6 +6,7 @@ Every function takes the progress of the run, 0 at the start and 1 at the end.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from stages.train.config import LossWeights, TrainConfig
 
@@ -25,17 +26,31 @@ def rate_factor(config: TrainConfig, done: float) -> float:
     return config.rate_end + (1.0 - config.rate_end) * 0.5 * (1.0 + math.cos(math.pi * done))
 
 
+def is_coarse(config: TrainConfig, done: float) -> bool:
+    """Whether the run is still at small pictures, where only positions and colours are learned.
+
+    Gaussians that could change their size then would spread to fit the blur.
+    """
+    return config.coarse_until > 0 and done < config.coarse_until
+
+
 def image_scale(config: TrainConfig, done: float) -> float:
-    """Size of the pictures: grows in a few steps from coarse to full within `coarse_until`."""
-    if config.coarse_until <= 0 or done >= config.coarse_until:
+    """Size of the pictures: from coarse to full by equal ratios, in a few steps within `coarse_until`."""
+    if not is_coarse(config, done):
         return config.image_scale
     share = math.floor(_COARSE_STEPS * done / config.coarse_until) / _COARSE_STEPS
-    return config.image_scale * (config.coarse_scale + (1.0 - config.coarse_scale) * share)
+    return config.image_scale * config.coarse_scale ** (1.0 - share)
 
 
 def stage_weights(config: TrainConfig, done: float) -> LossWeights:
-    """The weights in force: the first stage knows neither penetration nor smoothing (paper, sec. 3.4)."""
-    if done >= config.stage_two:
-        return config.weights
-    values = {name: getattr(config.weights, name) for name in config.weights.__dataclass_fields__}
-    return LossWeights(**{**values, "penetration": 0.0, "smooth": 0.0})
+    """The weights in force.
+
+    The first stage knows neither penetration nor smoothing (Gaussian Wardrobe, sec. 3.4); flow guides the
+    early part only.
+    """
+    weights = config.weights
+    if done < config.stage_two:
+        weights = replace(weights, penetration=0.0, smooth=0.0)
+    if done >= config.flow_until:
+        weights = replace(weights, flow=0.0)
+    return weights

@@ -22,6 +22,7 @@ from stages.train.data import StepChoice, TrainingViews, choose
 from stages.train.objective import Surfaces, picture_terms, surface_terms, weighted
 
 _ADAM_EPSILON = 1e-15  # gradients of single Gaussians are tiny; the usual 1e-8 would drown them
+_SHAPE_KINDS = ("quaternion", "opacity", "scale")  # free attributes that wait for full-size pictures
 _LEAVES = ("means", "covariances", "opacities", "features")
 
 
@@ -78,7 +79,8 @@ class Trainer:
             norm = self._gradient_norm()
             finite = math.isfinite(terms["total"]) and math.isfinite(norm)
             if finite:
-                self._update(schedule.rate_factor(self.config, done), norm)
+                frozen = _SHAPE_KINDS if schedule.is_coarse(self.config, done) else ()
+                self._update(schedule.rate_factor(self.config, done), norm, frozen)
         return StepReport(number, choice.frame, choice.cameras, finite, terms, norm, clock.seconds)
 
     def posed(self, frame: int) -> dict[str, PosedGaussians]:
@@ -126,13 +128,13 @@ class Trainer:
             return math.nan
         return float(torch.linalg.vector_norm(torch.stack(torch._foreach_norm(gradients))))
 
-    def _update(self, rate_factor: float, norm: float) -> None:
-        """One Adam step with clipped gradients and the rates of the schedule."""
+    def _update(self, rate_factor: float, norm: float, frozen: tuple[str, ...]) -> None:
+        """One Adam step with clipped gradients and the rates of the schedule; `frozen` kinds stay."""
         if self.config.clip > 0 and norm > self.config.clip:
             gradients = [p.grad for p in self.parameters.values() if p.grad is not None]
             torch._foreach_mul_(gradients, self.config.clip / norm)
         for group in self.optimizer.param_groups:
-            group["lr"] = group["start_rate"] * rate_factor
+            group["lr"] = 0.0 if group["kind"] in frozen else group["start_rate"] * rate_factor
         self.optimizer.step()
 
     def _pose(self, frame: int) -> FramePose:
@@ -173,7 +175,12 @@ def _adam(config: TrainConfig, models: dict[str, LayerModel]) -> torch.optim.Ada
         groups.setdefault(kind, []).append(parameter)
     return torch.optim.Adam(
         [
-            {"params": members, "lr": getattr(config.rates, kind), "start_rate": getattr(config.rates, kind)}
+            {
+                "params": members,
+                "kind": kind,
+                "lr": getattr(config.rates, kind),
+                "start_rate": getattr(config.rates, kind),
+            }
             for kind, members in groups.items()
         ],
         eps=_ADAM_EPSILON,

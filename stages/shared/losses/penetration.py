@@ -1,7 +1,7 @@
 """Outer layers stay outside inner ones: max(ε − (p − p̄)·n̄, 0)² (Gaussian Wardrobe, sec. 3.4).
 
 p̄ is the nearest posed Gaussian of the inner layer and n̄ its estimated normal; both are held fixed, so that
-the garment gives way and not the body. The mean runs over all outer points, so an empty set of violations is 0.
+the garment gives way and not the body. The mean runs over all outer points: no violation gives 0.
 """
 
 from __future__ import annotations

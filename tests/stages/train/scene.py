@@ -19,7 +19,7 @@ from stages.shared.avatar.pose import frame_pose
 from stages.shared.body import BodyModel, Poses, embedded_body
 from stages.shared.capture import Camera, native_writer
 from stages.train.config import PRESETS, LearningRates, TrainConfig
-from stages.train.objective import render
+from stages.train.objective import Picture, render
 from tests.shared.avatar.tubes import CENTRE, GRID, PITCH, tube_arrays
 
 SIZE = 40
@@ -94,17 +94,17 @@ def make_subject(folder: Path) -> Path:
 def _picture(
     truth: dict[str, LayerModel], body: BodyModel, motion: Poses, frame: int, camera: Camera
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    color, labels, alpha = look(truth, body, motion, frame, camera)
-    mask = (alpha > 0.5).numpy()
-    ids = np.array(LABEL_OF_LAYER, np.uint8)[labels.argmax(dim=2).numpy()]
-    image = np.clip(color.numpy() * 255, 0, 255).round().astype(np.uint8)
+    seen = look(truth, body, motion, frame, camera)
+    mask = (seen.alpha > 0.5).numpy()
+    ids = np.array(LABEL_OF_LAYER, np.uint8)[seen.labels.argmax(dim=2).numpy()]
+    image = np.clip(seen.color.numpy() * 255, 0, 255).round().astype(np.uint8)
     return image, mask.astype(np.uint8) * 255, np.where(mask, ids, 255).astype(np.uint8)
 
 
 def look(
     models: dict[str, LayerModel], body: BodyModel, motion: Poses, frame: int, camera: Camera
-) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Colour on black, labels and alpha of all layers in one frame."""
+) -> Picture:
+    """All layers in one frame."""
     one = motion[frame]
     pose = frame_pose(body, *(torch.from_numpy(a) for a in (one.rotations[0], one.translation[0], one.betas)))
     with torch.no_grad():

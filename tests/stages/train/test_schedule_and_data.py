@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -34,9 +35,11 @@ def test_schedules_run_from_start_to_end() -> None:
     assert schedule.rate_factor(config, 0.0) == pytest.approx(1.0)
     assert schedule.rate_factor(config, 1.0) == pytest.approx(0.05)
     scales = [schedule.image_scale(config, done) for done in np.linspace(0, 1, 50)]
-    assert scales[0] == 0.5 and scales[-1] == 1.0 and scales == sorted(scales)
+    assert scales[0] == pytest.approx(0.5) and scales[-1] == 1.0 and scales == sorted(scales)
     assert schedule.stage_weights(config, 0.49).penetration == 0
     assert schedule.stage_weights(config, 0.5) == config.weights
+    guided = replace(config, weights=LossWeights(flow=1.0), flow_until=0.6)
+    assert schedule.stage_weights(guided, 0.5).flow == 1.0 and schedule.stage_weights(guided, 0.6).flow == 0.0
     assert schedule.progress(config, 10, 0.0) == 0.1
     timed = TrainConfig(steps=100, minutes=1.0)
     assert schedule.progress(timed, 10, 30.0) == 0.5

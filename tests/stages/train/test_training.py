@@ -77,9 +77,9 @@ def test_learning_lowers_the_loss_and_writes_a_whole_artifact(subject: Path) -> 
 def _held_out_psnr(subject: Path, models: dict[str, LayerModel]) -> float:
     """PSNR inside the mask, of the camera that training never sees."""
     take = open_capture(subject.parent / "capture").training_takes[0]
-    color, _, _ = look(models, embedded_body(), poses(), 2, take.camera("cam2"))
+    seen = look(models, embedded_body(), poses(), 2, take.camera("cam2"))
     inside = take.mask("cam2", 2) > 127
-    error = (color.numpy() - take.image("cam2", 2) / 255.0)[inside]
+    error = (seen.color.numpy() - take.image("cam2", 2) / 255.0)[inside]
     return float(-10 * np.log10(np.square(error).mean()))
 
 

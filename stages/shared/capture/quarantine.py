@@ -25,7 +25,7 @@ from typing import Any, NoReturn
 MEMORY_BYTES = 4 << 30
 SECONDS = 600
 MAX_DEPTH = 16
-MAX_NODES = 1_000_000
+MAX_NODES = 200_000
 MAX_TEXT = 4096
 _KINDS = {
     "f8": "F64", "f4": "F32", "f2": "F16", "i8": "I64", "i4": "I32", "i2": "I16", "i1": "I8", "u8": "U64",
@@ -149,6 +149,17 @@ class _Dictionary(_Name):
         return {}
 
 
+class _EmptyBytes(_Name):
+    """What old protocols write for bytes without content."""
+
+    __slots__ = ()
+
+    def __call__(self, *content: Any) -> bytes:
+        if content:
+            raise Refused("bytes made from something else")
+        return b""
+
+
 _NAMES: dict[tuple[str, str], _Name] = {
     **{(module, "_reconstruct"): _Reconstruct() for module in _MULTIARRAY},
     **{(module, "scalar"): _Scalar() for module in _MULTIARRAY},
@@ -158,6 +169,7 @@ _NAMES: dict[tuple[str, str], _Name] = {
     ("numpy", "dtype"): _DtypeClass(),
     ("_codecs", "encode"): _Encode(),
     ("collections", "OrderedDict"): _Dictionary(),
+    ("__builtin__", "bytes"): _EmptyBytes(),
 }
 
 

@@ -11,10 +11,10 @@ from stages.shared.avatar.config import PAPER_MODEL, ModelConfig
 class LossWeights:
     """Weight of every term; 0 switches a term off.
 
-    `l1`, `ssim`, `label`, `silhouette` compare pictures; `flow` (m) pulls Gaussians along the optical flow from
-    render to image, in the first part of a run (`flow_until`); `penetration` (hinge, m²), `offset` (m²), `smooth`
-    (mm²), `seam` (mm²), `opacity` and `covered_skin` act on the Gaussians. The defaults are the published
-    ones.
+    `l1`, `ssim`, `label`, `silhouette` compare pictures; `flow` (m) pulls Gaussians along the optical flow
+    from render to image, in the first part of a run (`flow_until`); `penetration` (hinge, m²), `offset` (m²),
+    `smooth` (mm²), `seam` (mm²), `opacity` and `covered_skin` act on the Gaussians. The defaults are the
+    published ones.
     """
 
     l1: float = 1.0

@@ -39,7 +39,7 @@ def camera_tensors(camera: Camera, like: Tensor) -> tuple[Tensor, Tensor]:
 
 @dataclass(frozen=True)
 class Picture:
-    """What a camera sees of a composite: color (H, W, 3) on black, labels (H, W, L), alpha (H, W), depth (H, W) m."""
+    """What a camera sees: color (H, W, 3) on black, labels (H, W, L), alpha (H, W), depth (H, W) m."""
 
     color: Tensor
     labels: Tensor

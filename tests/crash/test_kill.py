@@ -59,15 +59,14 @@ def aimed_moments(calls: list[str], wanted: int) -> list[tuple[int, str]]:
 
     Around a rename both sides count; the one that finishes an artifact is where it matters most.
     """
-    chosen = [
-        (at, moment) for at, kind in enumerate(calls) if kind == "rename" for moment in ("before", "after")
-    ]
-    for kind in ("write", "flush", "append", "create", "flush_folder", "make_folder"):
-        places = [at for at, called in enumerate(calls) if called == kind]
+    around: dict[str, list[tuple[int, str]]] = {}
+    for at, kind in enumerate(calls):
         moments = ("before", "inside", "after") if kind == "write" else ("before", "after")
-        every = [(at, moments[number % len(moments)]) for number, at in enumerate(places)]
-        chosen += every[:: max(1, len(places) * 10 // wanted)]
-    return chosen
+        around.setdefault(kind, []).extend((at, moment) for moment in moments)
+    chosen = around.pop("rename")
+    stride = sum(len(places) for places in around.values()) // (wanted - len(chosen))
+    stride = max(1, stride - (stride + 1) % 2)  # odd, or it would meet the same moment of every call
+    return chosen + [place for places in around.values() for place in places[::stride]]
 
 
 def aimed_kills(undisturbed: Undisturbed, capture: Path, folder: Path, wanted: int) -> None:

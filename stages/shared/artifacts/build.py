@@ -19,7 +19,7 @@ from stages.shared.artifacts import lock
 from stages.shared.artifacts.arrays import describe_arrays, encode_arrays
 from stages.shared.artifacts.artifact import Artifact
 from stages.shared.artifacts.canonical import plain, readable_json, seal
-from stages.shared.artifacts.external import file_digest
+from stages.shared.artifacts.external import ExternalFiles, file_digest
 from stages.shared.artifacts.files import (
     Chunks,
     flush_file,
@@ -34,7 +34,6 @@ from stages.shared.artifacts.manifest import (
     MANIFEST_NAME,
     RUN_NAME,
     FileEntry,
-    InputEntry,
     Manifest,
     is_plain_name,
 )
@@ -62,21 +61,20 @@ class Build:
         workspace: Workspace,
         spec: StageSpec,
         config: Any,
-        inputs: Mapping[str, InputEntry],
-        listings: Mapping[str, dict[str, str]],
+        inputs: Mapping[str, Artifact | ExternalFiles],
         force: bool = False,
     ) -> None:
         self._workspace = workspace
+        self._inputs = inputs
         self._force = force
-        self._manifest = Manifest(spec.name, spec.schema, spec.code_version, plain(config), dict(inputs))
-        self._listings = listings
+        self._manifest = Manifest(spec.name, spec.schema, spec.code_version, plain(config))
         self._measured: dict[str, Any] = {}
         self.path = workspace.root / f".{spec.name}{TEMPORARY}{secrets.token_hex(6)}"
         self.artifact: Artifact
 
     @property
     def key(self) -> str:
-        """Name the finished folder will have."""
+        """Name the finished folder will have; known inside the block."""
         return self._manifest.key
 
     def write_arrays(
@@ -133,7 +131,9 @@ class Build:
             make_folders(self.path)
             self._started = time.monotonic()
             self._started_at = datetime.now(UTC).isoformat(timespec="seconds")
-            for name, listing in self._listings.items():
+            entries, listings = self._workspace.register_inputs(self._inputs)
+            self._manifest.inputs.update(entries)
+            for name, listing in listings.items():
                 self._write(name, readable_json(listing))
         except BaseException:
             self._abandon()

@@ -44,7 +44,7 @@ class Manifest:
     schema: str
     code_version: int
     config: Any
-    inputs: dict[str, InputEntry]
+    inputs: dict[str, InputEntry] = field(default_factory=dict)
     files: dict[str, FileEntry] = field(default_factory=dict)
     arrays: dict[str, dict[str, Any]] = field(default_factory=dict)
     summary: dict[str, Any] = field(default_factory=dict)

@@ -91,9 +91,7 @@ class Workspace:
             MissingInput: an input file is not there.
         """
         cache = DigestCache(self.root)
-        entries, _ = self._entries(inputs, cache)
-        digests = {name: entry.digest for name, entry in entries.items()}
-        key = artifact_key(spec.name, spec.schema, spec.code_version, plain(config), digests)
+        key = self._key(spec, config, inputs, cache)
         folder = self.root / spec.name / key
         if not folder.is_dir():
             return None
@@ -110,10 +108,8 @@ class Workspace:
             with self._writing():
                 self.point_at(artifact)
         elif self._progress_folder(spec.name, key).exists():
-            with (
-                contextlib.suppress(Locked),
-                self._writing(),
-            ):  # a kill came after the end; nobody needs it now
+            # A kill came between the end of the work and its tidying; a busy workspace is tidied later.
+            with contextlib.suppress(Locked), self._writing():
                 self.drop_progress(spec.name, key)
         return artifact
 
@@ -123,17 +119,12 @@ class Workspace:
         Takes the lock for the length of the block. An artifact already there under the same key stays if its
         content is whole and the same, unless `force` is set.
 
-        Raises:
+        Entering the block raises:
             Locked: another process writes to this workspace.
             MissingInput: an input file is not there.
             StorageFailure: disk full; nothing half-written is left.
         """
-        make_folders(self.root)
-        cache = DigestCache(self.root)
-        entries, listings = self._entries(inputs, cache)
-        cache.save()
-        self._remember_roots(inputs)
-        return Build(self, spec, config, entries, listings, force)
+        return Build(self, spec, config, inputs, force)
 
     def progress(self, spec: StageSpec, config: Any, inputs: Inputs, force: bool = False) -> Progress:
         """Folder for unfinished work of a long stage: `with workspace.progress(...)`.
@@ -146,10 +137,7 @@ class Workspace:
         """
         lock.acquire(self.root, self.clear_leftovers)
         try:
-            entries, _ = self._entries(inputs, DigestCache(self.root))
-            digests = {name: entry.digest for name, entry in entries.items()}
-            key = artifact_key(spec.name, spec.schema, spec.code_version, plain(config), digests)
-            folder = self._progress_folder(spec.name, key)
+            folder = self._progress_folder(spec.name, self._key(spec, config, inputs, DigestCache(self.root)))
             if force:
                 remove_folder(folder)
             make_folders(folder)
@@ -286,6 +274,23 @@ class Workspace:
             stage, key = progress.name[1:].split(_PROGRESS)
             if (self.root / stage / key / "manifest.json").exists():
                 remove_folder(progress)
+
+    def register_inputs(self, inputs: Inputs) -> tuple[dict[str, InputEntry], dict[str, dict[str, str]]]:
+        """Digest all inputs of a build and remember where the external ones are. The caller holds the lock.
+
+        Returns:
+            What the manifest records of each input, and the listings of external files by file name.
+        """
+        cache = DigestCache(self.root)
+        entries, listings = self._entries(inputs, cache)
+        cache.save()
+        self._remember_roots(inputs)
+        return entries, listings
+
+    def _key(self, spec: StageSpec, config: Any, inputs: Inputs, cache: DigestCache) -> str:
+        entries, _ = self._entries(inputs, cache)
+        digests = {name: entry.digest for name, entry in entries.items()}
+        return artifact_key(spec.name, spec.schema, spec.code_version, config, digests)
 
     def _entries(
         self, inputs: Inputs, cache: DigestCache

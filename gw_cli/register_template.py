@@ -42,8 +42,8 @@ def register(app: typer.Typer) -> None:
     ) -> None:
         """Check that body and masks fit, and get the dressed surface of one frame.
 
-        The body of the poses is projected into the masks; if it does not fit, the command refuses and says what it
-        tried. The picture SUBJECT/register-template/*/overlay.png shows the fit.
+        The body of the poses is projected into the masks; if it does not fit, the command refuses and says
+        what it tried. The picture SUBJECT/register-template/*/overlay.png shows the fit.
         """
         from stages.register_template import stage
         from stages.register_template.config import PRESETS

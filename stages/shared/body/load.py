@@ -60,7 +60,7 @@ def load_body(path: Path) -> BodyModel:
         ):
             if theirs in file:
                 arrays[ours] = file.array(theirs)
-    weights = arrays["skin_weights"]
+    weights = arrays["skin_weights"].astype(np.float64)
     if weights.ndim == 2 and weights.size and weights.sum(axis=1).min() > 0.5:
         # Files in half precision or rounded text are a few 1e-4 off; skinning needs a partition of one.
         arrays["skin_weights"] = weights / weights.sum(axis=1, keepdims=True)

@@ -102,7 +102,7 @@ class Poses:
 
     def save(self, path: Path) -> None:
         """Write `smpl_params.npz`, whole or not at all."""
-        from stages.shared.artifacts.store import write_whole
+        from stages.shared.artifacts import write_whole
 
         write_whole(Path(path), self.to_npz_bytes())
 

@@ -57,7 +57,7 @@ def _side_and_name(name: str) -> tuple[str, str]:
             return side, bare.removesuffix(side)
         if re.search(rf"_{letter}$", marked, re.IGNORECASE):
             return side, bare[:-1]
-        if re.match(rf"{letter}_", marked, re.IGNORECASE) or re.match(rf"{letter.upper()}[A-Z]", marked):
+        if re.match(rf"{letter}_", marked, re.IGNORECASE) or re.match(rf"(?i:{letter})[A-Z]", marked):
             return side, bare[1:]
     return "", bare
 

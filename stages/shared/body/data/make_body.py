@@ -335,10 +335,10 @@ def _say_errors(
     vertices_count, faces_count = len(result.template_vertices), len(result.faces)
     weight = np.abs(result.joint_regressor).max()
     lines = (
-        f"{output.name}: {output.stat().st_size / 2**20:.2f} MiB, {vertices_count} vertices, {faces_count} faces",
+        f"{output.stat().st_size / 2**20:.2f} MiB, {vertices_count} vertices, {faces_count} faces",
         f"variance kept by {SHAPE_COUNT} directions {kept:.6f}",
         f"people against their fit, mm rms: {left.mean() * 1e3:.2f} on average, worst {left.max() * 1e3:.2f}",
-        f"their joints, mm: {joint_left.mean() * 1e3:.2f} on average, worst {joint_left.max() * 1e3:.2f} ({worst})",
+        f"their joints, mm: {joint_left.mean() * 1e3:.2f}, worst {joint_left.max() * 1e3:.2f} ({worst})",
         f"rounding, um: vertices {rounding * 1e6:.1f}, shape directions {shape_rounding * 1e6:.2f} per unit",
         f"skin weights left out and rounded: {weight_error:.5f} at most",
         f"regressor: joints {joint_error * 1e6:.2f} um, largest weight {weight:.3f}",

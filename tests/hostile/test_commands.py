@@ -129,10 +129,10 @@ def test_labels_with_unknown_ids_stop_the_stage_that_reads_them(person: Path, tm
     for path in (root / WALK / "labels").rglob("*.png"):
         cv2.imwrite(str(path), np.full((160, 160), 77, np.uint8))
     assert 77 not in LABELS
-    assert run("register-template", root, "-o", subject, "--template", "body")[0] == 0
-    assert run("canonicalize", subject)[0] == 0
+    assert run("register-template", root, "-o", subject, "--template", "body", "--preset", "tiny")[0] == 0
+    assert run("canonicalize", subject, "--preset", "tiny")[0] == 0
     before = artifacts(subject)
-    code, lines = run("segment-layers", subject)
+    code, lines = run("segment-layers", subject, "--preset", "tiny")
     assert code == 65, lines
     expect_three_lines(lines, "labels/cam")
     assert "77" in "".join(lines[-3:])

@@ -68,9 +68,10 @@ def _read_sequence(folder: Path, place: int, count: int, body: BodyModel | None)
     scene = read_json_object(scene_path) if scene_path.is_file() else {}
     cameras = read_calibration(folder / "calibration.csv")
     missing = read_missing_list(folder)
-    views = {name: _views_of_camera(folder, name, missing) for name in cameras}
     notes: list[str] = []
-    training, heldout = _camera_split(scene, cameras, views, scene_path, notes)
+    seen = [name for name in cameras if _has_files(folder / "rgbs" / name)]
+    training, heldout = _camera_split(scene, list(cameras), seen, scene_path, notes)
+    views = {name: _views_of_camera(folder, name, missing) for name in (*training, *heldout)}
     fps = scene.get("fps")
     if fps is not None and (not isinstance(fps, int | float) or not 0 < fps < 1e5):
         raise BadData("fps is not a positive number.", str(scene_path), "Write the frame rate as a number.")
@@ -157,6 +158,10 @@ def _camera_of_row(name: str, row: dict[str, Any], where: str) -> Camera:
     return checked_camera(name, width, height, intrinsics, camera_from_world, where)
 
 
+def _has_files(folder: Path) -> bool:
+    return folder.is_dir() and next(folder.iterdir(), None) is not None
+
+
 def _views_of_camera(folder: Path, name: str, missing: set[Path]) -> dict[int, ViewFiles]:
     quoted = re.escape(name)
     images = numbered_files(folder / "rgbs" / name, re.compile(rf"{quoted}_rgb(\d+)\.(?:jpg|jpeg|png)"))
@@ -168,14 +173,9 @@ def _views_of_camera(folder: Path, name: str, missing: set[Path]) -> dict[int, V
 
 
 def _camera_split(
-    scene: dict[str, Any],
-    cameras: dict[str, Camera],
-    views: dict[str, dict[int, ViewFiles]],
-    scene_path: Path,
-    notes: list[str],
+    scene: dict[str, Any], cameras: list[str], seen: list[str], scene_path: Path, notes: list[str]
 ) -> tuple[list[str], list[str]]:
-    """Names of training and of held-out cameras."""
-    seen = [name for name in cameras if views[name]]
+    """Names of training and of held-out cameras, out of all names and those that have images."""
     given = {key: scene[key] for key in ("train_cameras", "heldout_cameras") if key in scene}
     for key, names in given.items():
         unknown = [name for name in names if name not in cameras] if isinstance(names, list) else [names]

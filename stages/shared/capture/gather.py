@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -24,15 +23,20 @@ def numbered_files(folder: Path, pattern: re.Pattern[str]) -> dict[int, Path]:
     found: dict[int, Path] = {}
     if not folder.is_dir():
         return found
-    with os.scandir(folder) as entries:
-        for entry in entries:
-            match = pattern.fullmatch(entry.name)
-            if match and len(match.group(1)) <= 9:
-                found[int(match.group(1))] = folder / entry.name
-                if len(found) > _MAX_NAMES:
-                    raise BadData(
-                        "The folder holds more than a million frames.", str(folder), "Split the capture."
-                    )
+    for path in folder.iterdir():
+        match = pattern.fullmatch(path.name)
+        if not match or len(match.group(1)) > 9:
+            continue
+        frame = int(match.group(1))
+        if frame in found:
+            raise BadData(
+                f"Two files are of frame {frame}.",
+                f"{folder}: {found[frame].name} and {path.name}",
+                "Remove the one that is not meant.",
+            )
+        found[frame] = path
+        if len(found) > _MAX_NAMES:
+            raise BadData("The folder holds more than a million frames.", str(folder), "Split the capture.")
     return found
 
 

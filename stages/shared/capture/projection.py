@@ -22,6 +22,7 @@ LABEL_IDS = tuple(label for label in LABELS if label != NO_LABEL)
 _OFFSET = 0.001  # m above the surface, so that a point is not hidden by the faces it lies on
 _TOLERANCE = 0.002  # m; what is this near to the point does not hide it
 _DEPTH_STEP = 0.01  # m beside two pixels' widths: a silhouette, where images mix two surfaces
+_BORDER = 4  # pixels around the points that are looked at
 _FAR = 1e6  # m, depth of the background
 _EDGE_WEIGHT = 0.02  # left to a view whose pixel lies on a silhouette: used when there is no other
 _SURE = 250  # mask value from which a pixel shows nothing of the background
@@ -182,7 +183,14 @@ def _edge_factor(
     take: Take, name: str, frame: int, occluder: RayScene, pixels: NDArray[np.float64]
 ) -> Floats:
     """(N,) 1, or `_EDGE_WEIGHT` where a pixel of the image mixes two surfaces or lies outside the mask."""
+    if not len(pixels):
+        return np.ones(0, np.float32)
     camera = take.camera(name)
+    left, top = np.maximum(np.floor(pixels.min(axis=0)).astype(int) - _BORDER, 0).tolist()
+    right, bottom = (np.ceil(pixels.max(axis=0)).astype(int) + _BORDER).tolist()
+    box = left, top, min(right, camera.width), min(bottom, camera.height)
+    camera = camera.crop(box)
+    mask = take.mask(name, frame)[box[1] : box[3], box[0] : box[2]]
     depth = occluder.render(camera).distance
     depth = np.where(np.isfinite(depth), depth, _FAR).astype(np.float32)
     # Second differences are small on a slope, however steep, and large at a step.
@@ -192,10 +200,10 @@ def _edge_factor(
         before, after = np.roll(depth, 1, axis), np.roll(depth, -1, axis)
         step |= np.abs(before - 2 * depth + after) > allowed
     kernel = np.ones((3, 3), np.uint8)
-    unsure = cv2.dilate((take.mask(name, frame) < _SURE).astype(np.uint8), kernel) > 0
+    unsure = cv2.dilate((mask < _SURE).astype(np.uint8), kernel) > 0
     mixed = step | unsure
-    columns = np.clip(pixels[:, 0].astype(np.intp), 0, camera.width - 1)
-    rows = np.clip(pixels[:, 1].astype(np.intp), 0, camera.height - 1)
+    columns = np.clip(pixels[:, 0].astype(np.intp) - left, 0, camera.width - 1)
+    rows = np.clip(pixels[:, 1].astype(np.intp) - top, 0, camera.height - 1)
     return np.where(mixed[rows, columns], np.float32(_EDGE_WEIGHT), np.float32(1))
 
 

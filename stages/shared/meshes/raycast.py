@@ -89,7 +89,7 @@ class RayScene:
         return Hits(distance, np.where(hit, face, NO_HIT).astype(np.int32), barycentric)
 
     def render(self, camera: RayCamera) -> Hits:
-        """The mesh through a camera: hits (H, W), a ray per pixel centre; distance is depth along the axis."""
+        """The mesh through a camera: hits (H, W) of rays through pixel centres; distance is depth."""
         origin, directions = camera.rays()
         return self.first_hits(origin, directions)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import pytest
 
 from stages.shared.body import embedded_body
 from stages.shared.capture import Capture, open_capture
-from stages.shared.errors import MissingInput, UsageProblem
+from stages.shared.errors import BadData, MissingInput, UsageProblem
 from tests.shared.capture import scene
 
 WRITERS: dict[str, Callable[[Path], Path]] = {
@@ -211,3 +212,25 @@ def test_scene_json_may_be_absent(tmp_path: Path) -> None:
     (root / "Sequence1" / "scene.json").write_text(json.dumps({"num_frames": 3}))
     take = open_capture(root).takes[0]
     assert take.split == "train" and take.heldout_cameras == () and len(take.training_cameras) == 4
+
+
+def test_two_files_of_one_frame_are_refused(tmp_path: Path) -> None:
+    root = scene.write_native(tmp_path / "ball")
+    folder = root / "takes/walk/rgb/cam0"
+    (folder / "0001.png").write_bytes((folder / "000001.png").read_bytes())
+    with pytest.raises(BadData, match="frame 1") as caught:
+        open_capture(root)
+    assert "0001.png" in caught.value.where
+
+
+def test_a_camera_that_is_listed_for_training_must_have_images(tmp_path: Path) -> None:
+    root = scene.write_actorshq(tmp_path / "actor")
+    shutil.rmtree(root / "Sequence1/1x/rgbs/cam1")
+    assert open_capture(root).takes[0].training_cameras == ("cam0", "cam2")
+    scene_path = root / "Sequence1/scene.json"
+    scene_path.write_text(json.dumps({"train_cameras": ["cam0", "cam1"]}))
+    with pytest.raises(MissingInput, match="Camera cam1"):
+        open_capture(root)
+    scene_path.write_text(json.dumps({"train_cameras": ["cam0", "cam9"]}))
+    with pytest.raises(BadData, match="cam9"):
+        open_capture(root)

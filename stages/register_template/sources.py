@@ -274,9 +274,10 @@ def _template(
         mesh = Mesh(posed.astype(np.float32), source.body.faces)
         how: dict[str, Any] = {"made": "body model"}
     elif source.template == "scan":
-        assert take.scan is not None
         report.step("reading the scan")
-        mesh, way = simplify(load_mesh(take.scan), config.most_faces)
+        scan = take.read_scan()
+        assert scan is not None
+        mesh, way = simplify(scan, config.most_faces)
         _check_scan(mesh, posed, take)
         return mesh, {"made": "scan", "simplified": way}
     else:

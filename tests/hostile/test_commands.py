@@ -8,46 +8,21 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-import torch
 from typer.testing import CliRunner
 
 from gw_cli.app import app
-from stages.shared.body import embedded_body, posed_vertices
-from stages.shared.body.poses import Poses, npz_bytes
-from stages.shared.capture import LABELS, native_writer
-from stages.shared.meshes import RayScene
+from stages.shared.body.poses import npz_bytes
+from stages.shared.capture import LABELS
 from tests.shared.capture import scene
+from tests.shared.capture.people import FRAMES, SIDE, rest_poses, write_person
 
 WALK = Path("takes/walk")
-FRAMES = 2
 
 
 @pytest.fixture(scope="module")
 def person(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A bare body in its rest pose, seen by three cameras."""
-    body = embedded_body()
-    height = -body.template_vertices[:, 1].min()
-    poses = Poses(
-        np.zeros((FRAMES, 55, 3)), np.full((FRAMES, 3), [0, height, 0]), np.zeros(10), np.zeros((FRAMES, 10))
-    )
-    vertices = posed_vertices(
-        body,
-        torch.from_numpy(poses.rotations[0]),
-        torch.from_numpy(poses.translation[0]),
-        torch.from_numpy(poses.betas),
-    ).numpy()
-    rays = RayScene(vertices, body.faces)
-    root = tmp_path_factory.mktemp("person") / "capture"
-    cameras = scene.ring(3, width=160, height=160, focal=130.0)
-    with native_writer(root, cameras) as writer:
-        take = writer.take("walk", "train", poses)
-        for camera in cameras:
-            hit = rays.render(camera).hit
-            for frame in range(FRAMES):
-                labels = np.where(hit, 0, 255).astype(np.uint8)
-                image = np.where(hit[..., None], np.uint8(150), np.uint8(0)).repeat(3, axis=2)
-                take.view(camera.name, frame, image, hit * np.uint8(255), labels)
-    return root
+    return write_person(tmp_path_factory.mktemp("person") / "capture")
 
 
 def run(*arguments: object) -> tuple[int, list[str]]:
@@ -67,8 +42,7 @@ def test_the_capture_itself_is_fine(person: Path, tmp_path: Path) -> None:
 
 
 def nan_poses(root: Path) -> None:
-    arrays = Poses(np.zeros((2, 55, 3)), np.zeros((2, 3)), np.zeros(10), np.zeros((2, 10))).to_arrays()
-    arrays["transl"] = np.full((2, 3), np.nan, np.float32)
+    arrays = {**rest_poses().to_arrays(), "transl": np.full((FRAMES, 3), np.nan, np.float32)}
     (root / WALK / "smpl_params.npz").write_bytes(npz_bytes(arrays))
 
 
@@ -83,7 +57,7 @@ def truncated_mask(root: Path) -> None:
 
 def empty_masks(root: Path) -> None:
     for path in (root / WALK / "masks/cam1").iterdir():
-        cv2.imwrite(str(path), np.zeros((160, 160), np.uint8))
+        cv2.imwrite(str(path), np.zeros((SIDE, SIDE), np.uint8))
 
 
 def missing_camera(root: Path) -> None:
@@ -92,10 +66,9 @@ def missing_camera(root: Path) -> None:
     (root / WALK / "rgb/cam2").rmdir()
 
 
-def turned_cameras(root: Path) -> None:
+def moved_person(root: Path) -> None:
     """The person is elsewhere than the poses say."""
-    poses = Poses(np.zeros((2, 55, 3)), np.full((2, 3), [1.2, 0, 0]), np.zeros(10), np.zeros((2, 10)))
-    (root / WALK / "smpl_params.npz").write_bytes(poses.to_npz_bytes())
+    (root / WALK / "smpl_params.npz").write_bytes(rest_poses((1.2, 0.0, 0.0)).to_npz_bytes())
 
 
 def pickled_body(root: Path) -> None:
@@ -108,7 +81,7 @@ SPOILED: dict[str, tuple[Callable[[Path], None], int, str]] = {
     "truncated mask": (truncated_mask, 65, "masks/cam1/00000"),
     "empty mask": (empty_masks, 65, "masks/cam1/00000"),
     "missing camera": (missing_camera, 66, "cam2"),
-    "poses that do not fit": (turned_cameras, 65, "as is"),
+    "poses that do not fit": (moved_person, 65, "as is"),
     "pickled body": (pickled_body, 65, "body_model.npz"),
 }
 
@@ -127,7 +100,7 @@ def test_spoiled_capture(person: Path, tmp_path: Path, name: str) -> None:
 def test_labels_with_unknown_ids_stop_the_stage_that_reads_them(person: Path, tmp_path: Path) -> None:
     root, subject = scene.copy(person, tmp_path / "capture"), tmp_path / "subject"
     for path in (root / WALK / "labels").rglob("*.png"):
-        cv2.imwrite(str(path), np.full((160, 160), 77, np.uint8))
+        cv2.imwrite(str(path), np.full((SIDE, SIDE), 77, np.uint8))
     assert 77 not in LABELS
     assert run("register-template", root, "-o", subject, "--template", "body", "--preset", "tiny")[0] == 0
     assert run("canonicalize", subject, "--preset", "tiny")[0] == 0

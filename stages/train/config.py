@@ -34,12 +34,12 @@ class LossWeights:
 class LearningRates:
     """Adam's step sizes: of the networks, and of the free attributes per texel in their own units."""
 
-    network: float = 1e-3
+    network: float = 2e-3
     offset: float = 2e-4
     quaternion: float = 2e-3
     opacity: float = 2e-2
     scale: float = 5e-3
-    color: float = 2e-2
+    color: float = 1e-2
 
 
 @dataclass(frozen=True)

@@ -55,8 +55,9 @@ class View:
 
 @dataclass(frozen=True)
 class StepChoice:
-    """What one step sees: a frame, some cameras, a background colour for each (K, 3)."""
+    """What a step sees: a frame, some cameras, a background colour for each (K, 3)."""
 
+    step: int
     frame: int
     cameras: tuple[str, ...]
     backgrounds: NDArray[np.float32]
@@ -69,7 +70,7 @@ def choose(seed: int, step: int, frames: Sequence[int], cameras: Sequence[str], 
     generator = np.random.default_rng([seed, 2, step])
     chosen = generator.permutation(len(cameras))[: min(views, len(cameras))]
     backgrounds = generator.random((len(chosen), 3)).astype(np.float32)
-    return StepChoice(frames[order[place]], tuple(cameras[index] for index in chosen), backgrounds)
+    return StepChoice(step, frames[order[place]], tuple(cameras[index] for index in chosen), backgrounds)
 
 
 class TrainingViews:

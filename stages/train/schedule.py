@@ -27,9 +27,9 @@ def rate_factor(config: TrainConfig, done: float) -> float:
 
 
 def is_coarse(config: TrainConfig, done: float) -> bool:
-    """Whether the run is still at small pictures, where only positions and colours are learned.
+    """Whether the run is still at small pictures, where nothing but positions is learned.
 
-    Gaussians that could change their size then would spread to fit the blur.
+    Gaussians that could change size or colour then would fit the blur instead of moving.
     """
     return config.coarse_until > 0 and done < config.coarse_until
 

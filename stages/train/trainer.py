@@ -8,11 +8,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from stages.shared.avatar.compose import Composite, compose
-from stages.shared.avatar.deform import PosedGaussians, pose_layer
+from stages.shared.avatar.deform import PosedGaussians, pose_layer, view_cosines
 from stages.shared.avatar.model import LayerModel
 from stages.shared.avatar.pose import FramePose, frame_pose
 from stages.shared.errors import BadData
@@ -22,7 +23,9 @@ from stages.train.data import StepChoice, TrainingViews, choose
 from stages.train.objective import Surfaces, picture_terms, surface_terms, weighted
 
 _ADAM_EPSILON = 1e-15  # gradients of single Gaussians are tiny; the usual 1e-8 would drown them
-_SHAPE_KINDS = ("quaternion", "opacity", "scale")  # free attributes that wait for full-size pictures
+_LATER_KINDS = ("quaternion", "opacity", "scale", "color")  # free attributes that wait for full-size pictures
+_EYE_NOISE = 0.1  # m, keeps colours from memorising the training cameras' directions
+_OFFSETS = torch.tensor([1.0] * 3 + [0.0] * 11)
 _LEAVES = ("means", "covariances", "opacities", "features")
 
 
@@ -63,6 +66,8 @@ class Trainer:
         self.parameters = dict(_named_parameters(models))
         self.optimizer = _adam(config, models)
         self._poses: dict[int, FramePose] = {}
+        for model in models.values():
+            model.fit_input([self._pose(frame).local_transforms for frame in self.frames])
 
     def step(self, number: int, elapsed: float) -> StepReport:
         """Learn from one frame, `elapsed` s into the run. A step that is not finite changes nothing."""
@@ -70,57 +75,79 @@ class Trainer:
         weights = schedule.stage_weights(self.config, done)
         choice = choose(self.config.seed, number, self.frames, self.cameras, self.config.views_per_step)
         clock = _Clock()
+        coarse = schedule.is_coarse(self.config, done)
         self.optimizer.zero_grad(set_to_none=True)
         try:
-            terms = self._gradients(choice, weights, schedule.image_scale(self.config, done), clock)
+            terms = self._gradients(choice, weights, schedule.image_scale(self.config, done), coarse, clock)
         except BadData:  # the splatter refuses Gaussians that are not finite
             terms = {"total": math.nan}
         with clock("optimiser"):
             norm = self._gradient_norm()
             finite = math.isfinite(terms["total"]) and math.isfinite(norm)
             if finite:
-                frozen = _SHAPE_KINDS if schedule.is_coarse(self.config, done) else ()
-                self._update(schedule.rate_factor(self.config, done), norm, frozen)
+                self._update(schedule.rate_factor(self.config, done), norm, _LATER_KINDS if coarse else ())
         return StepReport(number, choice.frame, choice.cameras, finite, terms, norm, clock.seconds)
 
-    def posed(self, frame: int) -> dict[str, PosedGaussians]:
-        """All layers in the pose of a training frame."""
+    def posed(
+        self, frame: int, offsets_only: bool = False, cosines: dict[str, Tensor] | None = None
+    ) -> dict[str, PosedGaussians]:
+        """All layers in the pose of a training frame.
+
+        `offsets_only` keeps the networks from anything but offsets; `cosines` (name to (N,)) are for models
+        whose colours see the viewing direction.
+        """
         pose = self._pose(frame)
-        return {
-            name: pose_layer(model.maps, model(pose.local_transforms), pose.transforms, pose.betas)
-            for name, model in self.models.items()
-        }
+        posed = {}
+        for name, model in self.models.items():
+            residual = model.residual(pose.local_transforms, cosines[name] if cosines else None)
+            if offsets_only:
+                residual = residual * _OFFSETS.to(residual)
+            posed[name] = pose_layer(model.maps, model.attributes(residual), pose.transforms, pose.betas)
+        return posed
 
     def _gradients(
-        self, choice: StepChoice, weights: LossWeights, scale: float, clock: _Clock
+        self, choice: StepChoice, weights: LossWeights, scale: float, coarse: bool, clock: _Clock
     ) -> dict[str, float]:
-        """Accumulate the gradients of a step; returns its terms."""
-        with clock("network"):
-            posed = self.posed(choice.frame)
-            composite = compose(posed)
-        leaves = _detached(composite)
+        """Accumulate the gradients of a step; returns its terms.
+
+        One network pass serves all cameras, unless colours depend on the viewing direction.
+        """
+        views = list(zip(choice.cameras, choice.backgrounds, strict=True))
+        groups = [[view] for view in views] if self.config.model.view_conditioning else [views]
         sums: dict[str, float] = {}
-        for camera, background in zip(choice.cameras, choice.backgrounds, strict=True):
-            with clock("data"):
-                view = self.views.view(choice.frame, camera, scale).to(self.device)
-            with clock("splat"):
-                behind = torch.from_numpy(background).to(self.device)
-                terms = picture_terms(leaves, view, behind, weights, self.config.label_kind)
-                share = weighted(terms, weights) / len(choice.cameras)
-                share.backward()
-                _add(sums, terms, share, 1.0 / len(choice.cameras))
-        with clock("surface"):
-            terms = surface_terms(posed, self.surfaces, weights, self.config.penetration_margin)
-        with clock("network"):
-            roots = [getattr(composite, name) for name in _LEAVES]
-            seeds: list[Tensor | None] = [getattr(leaves, name).grad for name in _LEAVES]
-            if terms:
-                share = weighted(terms, weights)
-                _add(sums, terms, share, 1.0)
-                roots, seeds = roots + [share], seeds + [None]
-            pairs = [(root, seed) for root, seed in zip(roots, seeds, strict=True) if root.requires_grad]
-            torch.autograd.backward([root for root, _ in pairs], [seed for _, seed in pairs])
+        for group in groups:
+            with clock("network"):
+                posed = self.posed(choice.frame, coarse, self._cosines(choice, group[0][0]))
+                composite = compose(posed)
+            leaves = _detached(composite)
+            for camera, background in group:
+                with clock("data"):
+                    view = self.views.view(choice.frame, camera, scale).to(self.device)
+                with clock("splat"):
+                    behind = torch.from_numpy(background).to(self.device)
+                    terms = picture_terms(leaves, view, behind, weights, self.config.label_kind)
+                    _sum(terms, weights, 1.0 / len(views), sums).backward()
+            with clock("surface"):
+                terms = surface_terms(posed, self.surfaces, weights, self.config.penetration_margin)
+                surface = _sum(terms, weights, 1.0 / len(groups), sums) if terms else None
+            with clock("network"):
+                pairs = [(getattr(composite, name), getattr(leaves, name).grad) for name in _LEAVES]
+                pairs = [(root, seed) for root, seed in pairs + [(surface, None)] if root is not None]
+                pairs = [(root, seed) for root, seed in pairs if root.requires_grad]
+                torch.autograd.backward([root for root, _ in pairs], [seed for _, seed in pairs])
         return sums
+
+    def _cosines(self, choice: StepChoice, camera: str) -> dict[str, Tensor] | None:
+        """Slightly disturbed viewing cosines of every layer, when the models want them."""
+        if not self.config.model.view_conditioning:
+            return None
+        pose, place = self._pose(choice.frame), self.views.take.camera(camera).centre
+        noise = np.random.default_rng([self.config.seed, 3, choice.step]).normal(0.0, _EYE_NOISE, 3)
+        eye = torch.from_numpy(place + noise).float().to(self.device)
+        return {
+            name: view_cosines(model.maps, pose.transforms, pose.betas, eye)
+            for name, model in self.models.items()
+        }
 
     def _gradient_norm(self) -> float:
         gradients = [p.grad for p in self.parameters.values() if p.grad is not None]
@@ -194,8 +221,10 @@ def _detached(composite: Composite) -> Composite:
     return replace(composite, **leaves)
 
 
-def _add(sums: dict[str, float], terms: dict[str, Tensor], total: Tensor, share: float) -> None:
-    """Add weighted `total` and unweighted `terms` (times `share`) to the sums of a step."""
+def _sum(terms: dict[str, Tensor], weights: LossWeights, share: float, sums: dict[str, float]) -> Tensor:
+    """`share` of the weighted terms; notes them in the sums of the step, the total as "total"."""
+    total = weighted(terms, weights) * share
     for name, value in terms.items():
         sums[name] = sums.get(name, 0.0) + share * float(value.detach())
     sums["total"] = sums.get("total", 0.0) + float(total.detach())
+    return total

@@ -16,6 +16,8 @@ class ModelConfig:
         factor: texels per network input pixel; 2 is the published ratio, more is cheaper (the output is
             sampled bilinearly).
         input_views: "front" or "both".
+        normalise: the network sees how far a pose departs from the mean training pose, in units of the usual
+            departure (`LayerModel.fit_input`), instead of positions in metres.
         base: learn free attributes per texel beside the networks.
         color: "sigmoid" bounds colours to 0..1, "linear" leaves them unbounded (published).
         view_conditioning: colours see the cosine between normal and viewing direction (separate heads only).
@@ -28,6 +30,7 @@ class ModelConfig:
     style: int = 64
     factor: int = 4
     input_views: str = "both"
+    normalise: bool = True
     base: bool = True
     color: str = "sigmoid"
     view_conditioning: bool = False
@@ -42,6 +45,7 @@ PAPER_MODEL = ModelConfig(
     style=512,
     factor=2,
     input_views="front",
+    normalise=False,
     base=False,
     color="linear",
     view_conditioning=True,

@@ -106,6 +106,19 @@ def estimate_normals(means: Tensor, maps: LayerMaps, fallback: Tensor) -> Tensor
     return chosen / chosen.square().sum(dim=1, keepdim=True).clamp(min=1e-18).sqrt()
 
 
+def view_cosines(maps: LayerMaps, transforms: Tensor, betas: Tensor, eye: Tensor) -> Tensor:
+    """Cosine (N,) between each texel's carried normal and the direction to a camera at `eye` (3,) m, world.
+
+    Positions and normals are those of the bare surface, without learned offsets; normals are carried by the
+    blended matrix and keep the length it gives them (Animatable Gaussians, view conditioning).
+    """
+    matrices = blended(maps.skin_weights, transforms)
+    towards = eye - moved(shaped_positions(maps, betas), matrices)
+    towards = towards / towards.square().sum(dim=1, keepdim=True).sqrt().clamp(min=1e-3)
+    carried = (matrices[:, :, :3] * maps.normals[:, None, :]).sum(dim=2)
+    return (carried * towards).sum(dim=1)
+
+
 def pose_layer(maps: LayerMaps, attributes: Attributes, transforms: Tensor, betas: Tensor) -> PosedGaussians:
     """Deform one layer.
 

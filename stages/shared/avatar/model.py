@@ -28,6 +28,7 @@ from stages.shared.nets.styleunet import StyleUNet, ViewNet
 CHANNELS = {"offset": (0, 3), "quaternion": (3, 7), "opacity": (7, 8), "scale": (8, 11), "color": (11, 14)}
 _MIN_SCALE = 1e-5
 _FLATNESS = 0.3
+_LEAST_DEPARTURE = 0.01  # m; less is noise, not motion
 
 
 class LayerModel(nn.Module):
@@ -43,6 +44,8 @@ class LayerModel(nn.Module):
     base_scale: Tensor  # (N, 3) log m
     base_color: Tensor  # (N, 3) logit, or plain with linear colours
     sample_points: Tensor
+    input_mean: Tensor  # (1, C, h, w) m
+    input_scale: Tensor  # (1,) m
 
     def __init__(self, maps: LayerMaps, config: ModelConfig | None = None, seed: int = 0) -> None:
         super().__init__()
@@ -68,6 +71,9 @@ class LayerModel(nn.Module):
                 for count in outputs
             )
             self.view_net = ViewNet(config.width) if config.view_conditioning else None
+        # Zero departure and unit scale until `fit_input` has seen the training poses.
+        self.register_buffer("input_mean", torch.zeros(1, self.positional.channels, grid.height, grid.width))
+        self.register_buffer("input_scale", torch.ones(1))
         self.cosines = CosineMaps(maps, grid) if config.view_conditioning else None
         for name, start in _start(maps, config).items():
             if config.base:
@@ -115,13 +121,28 @@ class LayerModel(nn.Module):
             return {}
         return {name: getattr(self, f"base_{name}") for name in CHANNELS}
 
+    def fit_input(self, poses: list[Tensor]) -> None:
+        """Normalise the network's input by training poses, each (55, 4, 4) as in `residual`.
+
+        The mean is per pixel, the scale one number, so that still parts stay small beside moving ones. Does
+        nothing without `normalise`.
+        """
+        if not self.model_config.normalise or not poses:
+            return
+        images = torch.cat([self.positional(pose) for pose in poses])
+        mean = images.mean(dim=0, keepdim=True)
+        used = (images != 0).any(dim=0).any(dim=0)  # (h, w) pixels with texels
+        departure = (images - mean)[:, :, used]
+        self.input_mean.copy_(mean)
+        self.input_scale.copy_(departure.square().mean().sqrt().clamp(min=_LEAST_DEPARTURE))
+
     def residual(self, local_transforms: Tensor, cosines: Tensor | None = None) -> Tensor:
         """Pose-dependent part (N, 14) of the channels above, raw network output.
 
         `local_transforms` (55, 4, 4): pose without shape and root. `cosines` (N,): normal · viewing direction
         of every texel, used only with view conditioning (without it the colour network sees no view feature).
         """
-        image = self.positional(local_transforms)
+        image = (self.positional(local_transforms) - self.input_mean) / self.input_scale
         if self.model_config.heads == "joint":
             return self._sampled(self.networks[0](image)[0])
         features = None

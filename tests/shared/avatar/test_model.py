@@ -23,6 +23,7 @@ SEPARATE = ModelConfig(
     style=8,
     factor=2,
     input_views="front",
+    normalise=False,
     base=False,
     color="linear",
     view_conditioning=True,
@@ -129,6 +130,24 @@ def test_positional_map_of_the_canonical_pose_is_the_surface() -> None:
 def test_discs_for_any_normal() -> None:
     normals = torch.tensor([[0, 0, 1.0], [0, 0, -1], [1, 0, 0], [0, -1, 0], [0.6, 0, -0.8], [1e-8, 0, -1]])
     assert torch.allclose(rotation_matrices(z_to(normals))[:, :, 2], normals, atol=1e-6)
+
+
+def test_normalised_input_is_the_departure_from_the_mean_pose() -> None:
+    maps = tube()
+    model = LayerModel(maps, SMALL)
+    poses = [_pose(angle) for angle in (-0.3, 0.0, 0.3)]
+    model.fit_input(poses)
+    images = torch.cat([(model.positional(p) - model.input_mean) / model.input_scale for p in poses])
+    assert images.mean(dim=0).abs().max() < 1e-5
+    used = (model.positional(poses[0]) != 0).any(dim=1)[0]
+    assert images[:, :, used].square().mean() == pytest.approx(1.0, rel=1e-3)
+    again = LayerModel.from_state(model.config, maps, model.state())
+    assert torch.equal(again.input_mean, model.input_mean) and torch.equal(
+        again.input_scale, model.input_scale
+    )
+    raw = LayerModel(maps, SEPARATE)
+    raw.fit_input(poses)
+    assert raw.input_mean.abs().max() == 0 and raw.input_scale == 1
 
 
 def test_compose_labels_every_gaussian() -> None:

@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import signal
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,12 +15,14 @@ import torch
 
 from stages.pipeline import BAKE_MAPS, TRAIN
 from stages.shared.artifacts import Workspace
+from stages.shared.avatar.config import PAPER_MODEL
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.avatar.model import LayerModel
 from stages.shared.body import embedded_body
 from stages.shared.capture import open_capture
 from stages.shared.errors import BadData, MissingInput, UsageProblem
 from stages.train import loop, stage, trainer
+from stages.train.config import LearningRates
 from tests.stages.train.scene import look, make_subject, poses, tiny
 
 
@@ -136,6 +139,16 @@ def test_missing_stages_and_devices_are_said(tmp_path: Path, subject: Path) -> N
         stage.run(tmp_path / "nowhere", tiny())
     with pytest.raises(UsageProblem):
         stage.run(subject, tiny(device="abacus"))
+
+
+def test_published_kind_of_model_trains_too(subject: Path) -> None:
+    model = replace(PAPER_MODEL, width=0.0625, depth=2, style=8)
+    result = stage.run(subject, tiny(steps=30, model=model, rates=LearningRates(network=0.01)))
+    lines = [json.loads(line) for line in result.artifact.bytes("metrics.jsonl").splitlines()]
+    assert lines[-1]["losses"]["l1"] < lines[0]["losses"]["l1"]
+    assert result.summary["skipped"] == 0
+    first = _weights(result)
+    assert any(name.startswith("body.view_net") and np.abs(v).sum() > 0 for name, v in first.items())
 
 
 def test_minutes_end_a_run_before_its_steps(subject: Path) -> None:

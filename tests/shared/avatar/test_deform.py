@@ -11,6 +11,7 @@ from stages.shared.avatar.deform import (
     pose_layer,
     rotation_matrices,
     unit_quaternions,
+    view_cosines,
 )
 from tests.shared.avatar.tubes import tube
 
@@ -71,6 +72,17 @@ def test_normals_without_neighbours_fall_back() -> None:
     collapsed = torch.zeros_like(maps.positions)
     normals = estimate_normals(collapsed, maps, maps.normals * 3)
     assert torch.allclose(normals, maps.normals, atol=1e-5)
+
+
+def test_viewing_cosine_is_that_of_normal_and_direction() -> None:
+    maps = tube()
+    still = torch.eye(4).repeat(55, 1, 1)
+    far = view_cosines(maps, still, torch.zeros(10), torch.tensor([0.0, 0.0, 1e5]))
+    assert torch.allclose(far, maps.normals[:, 2], atol=1e-4)
+    eye = torch.tensor([0.5, 0.2, 1.0])
+    direction = torch.nn.functional.normalize(eye - maps.positions, dim=1)
+    near = view_cosines(maps, still, torch.zeros(10), eye)
+    assert torch.allclose(near, (direction * maps.normals).sum(dim=1), atol=1e-5)
 
 
 def test_zero_quaternion_is_the_identity_and_has_a_finite_gradient() -> None:

@@ -191,7 +191,7 @@ def test_a_moved_capture_is_found_by_its_settings(tmp_path: Path) -> None:
         atol=1e-12,
     )
     (tmp_path / "two" / "ball").rename(tmp_path / "elsewhere")
-    with pytest.raises(MissingInput, match="moved"):
+    with pytest.raises(MissingInput, match="not where it was"):
         open_subject_capture(Workspace(tmp_path / "two" / "subject"))
 
 

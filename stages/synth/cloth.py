@@ -36,7 +36,7 @@ class ClothModel:
     rest_lengths: Floats
     wings: Indices
     wing_lengths: Floats
-    bend_compliance: float = 2e-3
+    bend_compliance: float = 1e-4
     drag: float = 1.6
 
 

@@ -5,8 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stages.synth.patterns import ARGYLE, CHECKS, DOTS, STRIPES, TARTAN, Fabric, fabric_color
-from stages.synth.patterns import linear_from_srgb, srgb_from_linear
+from stages.synth.patterns import (
+    ARGYLE,
+    CHECKS,
+    DOTS,
+    STRIPES,
+    TARTAN,
+    Fabric,
+    fabric_color,
+    linear_from_srgb,
+    srgb_from_linear,
+)
 
 COLORS = ((0.9, 0.9, 0.9), (0.1, 0.1, 0.5), (0.8, 0.2, 0.1), (0.2, 0.7, 0.2))
 

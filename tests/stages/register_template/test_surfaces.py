@@ -1,0 +1,134 @@
+"""Frame choice, hull, remeshing and the fit of the body to a mesh, each against a known answer."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from stages.register_template.fit import axis_rotations, fit_body
+from stages.register_template.frame_choice import choose_frame, openness
+from stages.register_template.hull import carve, largest_part, outward, smooth
+from stages.register_template.sources import posed_body
+from stages.shared.body import embedded_body
+from stages.shared.capture.take import Take
+from stages.shared.errors import BadData
+from stages.shared.meshes.mesh import Mesh
+from stages.shared.meshes.remesh import remesh, simplify
+from stages.shared.report import SILENT
+from tests.shared.capture import scene
+
+from .scenes import a_pose
+
+
+class BallTake(Take):
+    """A take whose masks are those of a ball; nothing is on disk."""
+
+    def mask(self, camera: object, frame: int) -> np.ndarray:
+        return scene.picture(self.camera(camera))[1]  # type: ignore[arg-type]
+
+
+def ball_take(count: int) -> BallTake:
+    cameras = {camera.name: camera for camera in scene.ring(count, 256, 192, 280.0)}
+    views = {(name, 0): None for name in cameras}
+    return BallTake("ball", "train", cameras, tuple(cameras), (), [0], scene.poses(1), views)  # type: ignore[arg-type]
+
+
+def volume(mesh: Mesh) -> float:
+    corners = mesh.vertices[mesh.faces].astype(np.float64)
+    return float(np.einsum("fk,fk->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6)
+
+
+def sphere(radius: float = 0.3, centre: float = 0.0) -> Mesh:
+    import trimesh
+
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=radius)
+    return Mesh(np.asarray(ball.vertices, np.float32) + np.float32(centre), np.asarray(ball.faces, np.int32))
+
+
+def test_open_arms_win_and_closed_ones_lose() -> None:
+    body, poses = embedded_body(), a_pose(4)
+    scores = openness(body, poses)
+    assert scores.argmax() == 1
+    assert choose_frame(body, poses, [0, 1, 2, 3]) == 1
+    assert choose_frame(body, poses, [0, 2, 3]) in (2, 3)
+
+
+def test_hull_of_a_ball_is_the_ball_and_a_little_more() -> None:
+    points = scene.CENTRE + np.random.default_rng(0).normal(0, 0.1, (500, 3))
+    hull = carve(ball_take(8), 0, points, 0.02, 0.6, SILENT)
+    distance = np.linalg.norm(hull.vertices - scene.CENTRE, axis=1)
+    assert distance.min() > 0.985 * scene.RADIUS  # a hull contains the shape, up to a fraction of a pixel
+    level = np.abs(hull.vertices[:, 1] - scene.CENTRE[1]) < 0.02
+    assert distance[level].max() < 1.12 * scene.RADIUS  # eight views leave an octagon around the equator
+    ball = 4 / 3 * np.pi * scene.RADIUS**3
+    assert ball < volume(hull) < 1.35 * ball  # positive: faces point outward
+
+
+def test_hull_needs_three_cameras() -> None:
+    with pytest.raises(BadData, match="2 cameras"):
+        carve(ball_take(2), 0, scene.CENTRE + np.eye(3) * 0.1, 0.02, 0.6, SILENT)
+
+
+def test_smoothing_takes_noise_away_and_keeps_the_size() -> None:
+    ball = sphere()
+    noisy = Mesh(ball.vertices + np.random.default_rng(1).normal(0, 0.004, ball.vertices.shape), ball.faces)
+    smoothed = smooth(noisy, 8)
+    radius = np.linalg.norm(smoothed.vertices, axis=1)
+    assert radius.std() < 0.6 * np.linalg.norm(noisy.vertices, axis=1).std()
+    assert abs(radius.mean() - 0.3) < 0.002
+
+
+def test_largest_part_and_orientation() -> None:
+    big, small = sphere(0.3), sphere(0.05, 1.0)
+    vertices = np.concatenate([small.vertices[:80], big.vertices])
+    faces = np.concatenate([small.faces[(small.faces < 80).all(1)], big.faces + 80])
+    part = largest_part(outward(vertices.astype(np.float64), faces[:, ::-1]))
+    assert len(part.vertices) == len(big.vertices) and volume(part) > 0
+
+
+@pytest.mark.parametrize("time_limit", [60.0, 0.001])
+def test_remesh_and_its_fallback(time_limit: float) -> None:
+    ball = sphere()
+    labels = (ball.vertices[:, 1] > 0).astype(np.uint8)
+    even, way = remesh(Mesh(ball.vertices, ball.faces, None, labels), 0.05, time_limit)
+    assert way == ("pymeshlab" if time_limit > 1 else "libigl")
+    assert abs(np.linalg.norm(even.vertices, axis=1).mean() - 0.3) < 0.005
+    edges = even.vertices[even.faces] - even.vertices[np.roll(even.faces, -1, axis=1)]
+    assert 0.035 < np.linalg.norm(edges, axis=-1).mean() < 0.075
+    clear = np.abs(even.vertices[:, 1]) > 0.05
+    assert np.array_equal(even.labels[clear], (even.vertices[clear, 1] > 0).astype(np.uint8))
+
+
+def test_simplify_leaves_small_meshes_alone() -> None:
+    ball = sphere()
+    assert simplify(ball, 10_000) == (ball, "unchanged")
+    fewer, _ = simplify(ball, 400)
+    assert len(fewer.faces) <= 420
+
+
+def test_the_24_turns_are_rotations_and_all_different() -> None:
+    turns = axis_rotations()
+    assert len({tuple(turn.reshape(-1)) for turn in turns}) == 24
+    for turn in turns:
+        assert np.allclose(Rotation.from_matrix(turn).as_matrix(), turn)
+
+
+def test_fit_finds_unit_turn_place_and_pose() -> None:
+    body = embedded_body()
+    pose = a_pose()[1]
+    posed = posed_body(body, pose)
+    z_up = Rotation.from_euler("x", 90, degrees=True).as_matrix()
+    given = Mesh((100 * (posed @ z_up.T) + [30.0, -20.0, 10.0]).astype(np.float32), body.faces)
+    fit = fit_body(body, given, 20, SILENT)
+    assert fit.report["unit"] == "cm"
+    fitted = posed_body(body, fit.poses)
+    error = np.linalg.norm(fitted - fit.mesh.vertices, axis=1)  # the same vertex of the same model
+    assert np.median(error) < 0.04 and error.mean() < 0.06
+    assert abs(np.ptp(fit.mesh.vertices[:, 1]) - np.ptp(posed[:, 1])) < 1e-3  # upright, metres
+
+
+def test_a_mesh_that_is_nobodys_size() -> None:
+    ball = sphere(0.02)
+    with pytest.raises(BadData, match="none of the units"):
+        fit_body(embedded_body(), Mesh(ball.vertices, ball.faces), 5, SILENT)

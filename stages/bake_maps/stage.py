@@ -40,7 +40,6 @@ from stages.shared.capture.layer_colors import layer_colors
 from stages.shared.capture.subject import open_subject_capture
 from stages.shared.errors import BadData
 from stages.shared.meshes.raycast import RayScene
-from stages.shared.meshes.topology import vertex_normals
 from stages.shared.plan import Plan
 from stages.shared.report import SILENT, Report
 
@@ -143,8 +142,7 @@ def bake_layer(mesh: Mesh, texels: Texels, grid: Grid, config: BakeMapsConfig) -
     """
     faces = mesh["faces"]
     positions = texels.interpolate(faces, mesh["vertices"])
-    normals = texels.interpolate(faces, vertex_normals(mesh["vertices"], faces))
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+    normals = texels.outward(mesh["vertices"], faces, mesh["vertices"])
     weights = np.maximum(texels.interpolate(faces, mesh["skin_weights"]), 0.0)
     numbers = texel_numbers(texels.texels, texels.window)
     jump = max(config.depth_jump_m, 3.0 * grid.pitch)
@@ -176,13 +174,12 @@ def add_texel_colors(
         return
     faces = mesh["faces"]
     world = texels.interpolate(faces, mesh["world_vertices"])
-    normals = texels.interpolate(faces, vertex_normals(mesh["world_vertices"], faces))
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+    normals = texels.outward(mesh["world_vertices"], faces, mesh["vertices"])
     tucked = texels.interpolate(faces, mesh["ring"]) > 0
     colors, confidence = layer_colors(world, normals, maps["labels"], scene, take, frame)
     confidence = np.where(tucked, 0, confidence).astype(np.float32)
     # Below this a texel is on a silhouette in every view: the smooth colour of the mesh is the better start.
-    share = np.clip(confidence / 0.1, 0, 1)[:, None]
+    share = np.clip(confidence / 0.2, 0, 1)[:, None]
     maps["colors"] = (share * colors + (1 - share) * maps["colors"]).astype(np.float32)
     maps["color_confidence"] = confidence
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from stages.bake_maps.grid import Grid
 from stages.shared.meshes.raycast import RayScene
+from stages.shared.meshes.topology import face_normals, vertex_normals
 
 
 @dataclass(frozen=True)
@@ -24,6 +25,18 @@ class Texels:
     window: tuple[int, int, int, int]
     face: np.ndarray
     barycentric: np.ndarray
+
+    def outward(self, vertices: np.ndarray, faces: np.ndarray, seen_in: np.ndarray) -> np.ndarray:
+        """Unit normals (N, 3) of vertices (V, 3), interpolated, on the side from which the view sees the texel.
+
+        A face seen from behind (the inside of a skirt, a flipped face) shows its other side, so its normal is
+        turned. `seen_in` are the canonical vertices the maps were cast on; `vertices` may be the same ones posed.
+        """
+        normals = self.interpolate(faces, vertex_normals(vertices, faces))
+        sign = np.where(self.texels[:, 0] == 0, 1.0, -1.0)
+        behind = face_normals(seen_in, faces)[0][self.face, 2] * sign < 0
+        normals[behind] *= -1.0
+        return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
 
     def interpolate(self, faces: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Per-vertex values (V, ...) at the texels, (N, ...) float64."""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from stages.segment_layers.graph_cut import alpha_expansion
@@ -13,11 +15,14 @@ _FLOOR = 0.02  # share of a vote that every label keeps: a vertex can be outvote
 _UNSEEN = 0.05  # how much the nearest seen vertex counts for one that no image sees
 
 
-def label_costs(vertices: np.ndarray, votes: np.ndarray) -> np.ndarray:
+def label_costs(vertices: np.ndarray, edges: np.ndarray, votes: np.ndarray) -> np.ndarray:
     """(V, L) cost of each label: −log of its share of the votes, scaled by how well the vertex was seen.
 
+    An unseen vertex leans faintly to the label of the seen vertex nearest along the surface (or, on a piece of
+    the mesh that no camera sees, nearest in space).
+
     Arguments:
-        vertices: (V, 3) metres. votes: (V, L) ≥ 0, sums of view weights.
+        vertices: (V, 3) metres. edges: (E, 2). votes: (V, L) ≥ 0, sums of view weights.
     """
     total = votes.sum(axis=1)
     seen = total > 1e-6
@@ -27,11 +32,24 @@ def label_costs(vertices: np.ndarray, votes: np.ndarray) -> np.ndarray:
     share[seen] = votes[seen] / total[seen, None]
     trust = np.minimum(total / np.median(total[seen]), 1.0)
     if not seen.all():
-        _, nearest = cKDTree(vertices[seen]).query(vertices[~seen])
-        share[~seen] = share[seen][nearest]
+        share[~seen] = share[nearest_seen(vertices, edges, seen)[~seen]]
         trust[~seen] = _UNSEEN
     floor = _FLOOR / votes.shape[1]
     return -np.log((1.0 - _FLOOR) * share + floor) * trust[:, None]
+
+
+def nearest_seen(vertices: np.ndarray, edges: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """(V,) number of the seen vertex nearest along the edges; where none can be reached, nearest in space."""
+    length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
+    graph = sparse.coo_matrix((length + 1e-9, (edges[:, 0], edges[:, 1])), shape=(len(vertices),) * 2).tocsr()
+    sources = np.flatnonzero(seen)
+    distance, _, nearest = dijkstra(
+        graph, directed=False, indices=sources, min_only=True, return_predecessors=True
+    )
+    apart = ~np.isfinite(distance)
+    if apart.any():
+        nearest[apart] = sources[cKDTree(vertices[sources]).query(vertices[apart])[1]]
+    return np.asarray(nearest)
 
 
 def edge_weights(vertices: np.ndarray, normals: np.ndarray, edges: np.ndarray) -> np.ndarray:
@@ -58,7 +76,7 @@ def label_vertices(
     """
     edges = mesh_edges(vertices, faces)
     weights = smoothness * edge_weights(vertices, normals, edges)
-    labels = alpha_expansion(label_costs(vertices, votes), edges, weights, sweeps)
+    labels = alpha_expansion(label_costs(vertices, edges, votes), edges, weights, sweeps)
     return tidy_labels(vertices, faces, labels, garments, smallest_island, smallest_share)
 
 

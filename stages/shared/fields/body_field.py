@@ -27,7 +27,9 @@ class FieldConfig:
 
     Attributes:
         resolution: nodes along each axis of the box.
-        margin: how far beyond body and template nodes are computed.
+        margin: how far the box reaches beyond body and template.
+        band: nodes further than this from body and template are not computed. Diffusion goes through the band,
+            so it must bridge the gap between the legs.
         neighbours: K of the inverse-distance weights.
         spread: "nearest", "inverse" or "wide".
         iterations: 6-neighbour averaging steps of "inverse".
@@ -39,7 +41,8 @@ class FieldConfig:
     """
 
     resolution: int = 64
-    margin: float = 0.08
+    margin: float = 0.06
+    band: float = 0.12
     neighbours: int = 30
     spread: str = "wide"
     iterations: int = 30
@@ -158,13 +161,13 @@ def _dominated(weights: np.ndarray, joints: range | tuple[int, ...]) -> np.ndarr
 def _band(
     vertices: np.ndarray, around: np.ndarray, config: FieldConfig
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Box over everything with a margin; nodes (D, H, W, 3) and which of them are within the margin."""
+    """Box over everything with a margin; nodes (D, H, W, 3) and which of them belong to the band."""
     everything = np.concatenate([vertices, around])
     low, high = everything.min(axis=0) - config.margin, everything.max(axis=0) + config.margin
     centre = ((low + high) / 2).astype(np.float32).astype(np.float64)
-    half_extent = ((high - low) / 2).astype(np.float32).astype(np.float64)
+    half_extent = np.full(3, np.float64(np.float32((high - low).max() / 2)))  # a cube: equal pitch along all axes
     nodes = node_positions((config.resolution,) * 3, centre, half_extent)
-    distance, _ = cKDTree(everything).query(nodes.reshape(-1, 3), distance_upper_bound=config.margin)
+    distance, _ = cKDTree(everything).query(nodes.reshape(-1, 3), distance_upper_bound=config.band)
     return np.isfinite(distance).reshape(nodes.shape[:3]), centre, half_extent, nodes
 
 

@@ -13,6 +13,7 @@ import pytest
 
 from stages.shared.body.poses import npz_bytes
 from stages.shared.capture import open_capture
+from stages.shared.capture.images import read_image
 from stages.shared.errors import BadData, GwError, MissingInput, UsageProblem
 from tests.shared.capture import scene
 
@@ -323,16 +324,38 @@ def test_mutated_files_give_a_capture_or_an_error(good: Path, tmp_path: Path, na
     assert refused > MUTANTS // 4
 
 
-def test_mutated_calibration_tables(tmp_path: Path) -> None:
-    root = scene.write_actorshq(tmp_path / "actor", frames=1)
-    path = root / "Sequence1/1x/calibration.csv"
-    data = path.read_bytes()
+@pytest.mark.parametrize("layout", ["actorshq", "thuman4", "avatarrex"])
+def test_mutated_calibrations(tmp_path: Path, layout: str) -> None:
+    if layout == "actorshq":
+        root, name = scene.write_actorshq(tmp_path / "x", frames=1), "Sequence1/1x/calibration.csv"
+    else:
+        root = scene.write_animatable(tmp_path / "x", layout, frames=1)
+        name = "calibration.json" if layout == "thuman4" else "calibration_full.json"
+    data = (root / name).read_bytes()
     random = np.random.default_rng(3)
     refused = 0
     for _ in range(MUTANTS):
-        path.write_bytes(mutate(data, random))
+        (root / name).write_bytes(mutate(data, random))
         try:
             open_capture(root)
         except GwError:
             refused += 1
+    assert refused > MUTANTS // 4
+
+
+def test_mutated_photographs(tmp_path: Path) -> None:
+    """JPEG has no checksums: a changed byte may give another picture, but never another exception."""
+    picture = cv2.GaussianBlur(np.random.default_rng(0).integers(0, 255, (48, 64, 3), np.uint8), (9, 9), 3)
+    data = cv2.imencode(".jpg", picture)[1].tobytes()
+    random = np.random.default_rng(1)
+    path = tmp_path / "p.jpg"
+    refused = 0
+    for _ in range(3 * MUTANTS):
+        path.write_bytes(mutate(data, random))
+        try:
+            image = read_image(path)
+        except BadData:
+            refused += 1
+            continue
+        assert image.dtype == np.uint8 and image.ndim == 3
     assert refused > MUTANTS // 4

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -50,3 +52,21 @@ def test_a_header_cannot_claim_more_than_the_file_holds(tmp_path: Path) -> None:
             with pytest.raises(GwError) as caught:
                 load_mesh(path)
             assert "ends early" in caught.value.what
+
+
+def test_a_glb_cannot_claim_more_than_the_file_holds(tmp_path: Path) -> None:
+    """An accessor without data means zeros, as many as it says."""
+    path = originals(tmp_path)["ball.glb"]
+    data = path.read_bytes()
+    (length,) = struct.unpack_from("<I", data, 12)
+    header = json.loads(data[20 : 20 + length])
+    for accessor in header["accessors"]:
+        accessor["count"] = 4_000_000_000
+        accessor.pop("bufferView", None)
+    text = json.dumps(header).encode()
+    text += b" " * (-len(text) % 4)
+    rest = data[20 + length :]
+    total = 20 + len(text) + len(rest)
+    path.write_bytes(data[:8] + struct.pack("<II", total, len(text)) + data[16:20] + text + rest)
+    with pytest.raises(GwError, match="claims 4000000000"):
+        load_mesh(path)

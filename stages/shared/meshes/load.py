@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import json
+import struct
 from pathlib import Path
 from typing import Any, Final
 
@@ -58,6 +60,8 @@ def _decode_with_trimesh(data: bytes, kind: str, path: Path) -> Mesh:
     """All other formats; given as a stream without a folder, so that it cannot refer to other files."""
     import trimesh
 
+    if kind == "glb":
+        _check_glb_counts(data, path)
     options: dict[str, Any] = {"skip_materials": True} if kind == "obj" else {}
     try:
         loaded: Any = trimesh.load(io.BytesIO(data), file_type=kind, force="mesh", process=False, **options)
@@ -71,6 +75,22 @@ def _decode_with_trimesh(data: bytes, kind: str, path: Path) -> Mesh:
     if kind == "stl" and len(vertices):
         vertices, faces = _weld(vertices, faces)  # STL repeats every corner
     return Mesh(vertices.reshape(-1, 3), faces.reshape(-1, 3), colors)
+
+
+def _check_glb_counts(data: bytes, path: Path) -> None:
+    """Refuse a header that claims more values than the file has bytes: they would be allocated."""
+    try:
+        (length,) = struct.unpack_from("<I", data, 12)
+        accessors = json.loads(data[20 : 20 + length])["accessors"]
+        counts = [int(accessor["count"]) for accessor in accessors]
+    except (struct.error, ValueError, KeyError, TypeError, RecursionError) as error:
+        raise BadData("The GLB file has no readable header.", str(path), "Export the mesh again.") from error
+    if counts and max(counts) > len(data):
+        raise BadData(
+            f"The GLB file claims {max(counts)} values and holds {len(data)} bytes.",
+            str(path),
+            "Export the mesh again.",
+        )
 
 
 def _vertex_colors(loaded: Any) -> NDArray[np.uint8] | None:

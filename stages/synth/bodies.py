@@ -30,6 +30,7 @@ class Person:
     Attributes:
         name: folder of the capture.
         height, torso_girth, leg_girth, shoulder_width: differences; girths are mean radii.
+        hair_length: metres that the hair reaches below the ears at the back.
         skin, hair, shoes: albedo, sRGB 0..1.
     """
 
@@ -38,16 +39,25 @@ class Person:
     torso_girth: float
     leg_girth: float
     shoulder_width: float
+    hair_length: float
     skin: tuple[float, float, float]
     hair: tuple[float, float, float]
     shoes: tuple[float, float, float]
 
 
 PERSON_1 = Person(
-    "subject_1", -0.13, -0.016, -0.004, -0.022, (0.86, 0.66, 0.54), (0.30, 0.17, 0.09), (0.16, 0.17, 0.24)
+    "subject_1",
+    -0.13,
+    -0.016,
+    -0.004,
+    -0.022,
+    0.055,
+    (0.86, 0.66, 0.54),
+    (0.30, 0.17, 0.09),
+    (0.16, 0.17, 0.24),
 )
 PERSON_2 = Person(
-    "subject_2", 0.06, 0.022, 0.008, 0.022, (0.62, 0.43, 0.32), (0.10, 0.09, 0.09), (0.55, 0.36, 0.20)
+    "subject_2", 0.06, 0.022, 0.008, 0.022, 0.02, (0.62, 0.43, 0.32), (0.10, 0.09, 0.09), (0.55, 0.36, 0.20)
 )
 
 

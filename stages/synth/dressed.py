@@ -64,8 +64,7 @@ class Look:
 def accessories(mean: ShapedBody, wearer: ShapedBody, person: Person, spacing: float) -> list[Bound]:
     """Hair and shoes, fitted to the wearer; `spacing` of their vertices in metres."""
     offsets = wearer.rest_vertices - mean.rest_vertices
-    hair_length = 0.055 if person.name == "subject_1" else 0.02
-    pieces = [("hair", HAIR, hair_cap(mean, spacing, hair_length), person.hair)]
+    pieces = [("hair", HAIR, hair_cap(mean, spacing, person.hair_length), person.hair)]
     pieces += [(f"shoe {side:+d}", SHOE, shoe(mean, spacing, side), person.shoes) for side in (1, -1)]
     bound = []
     for name, label, (vertices, faces), color in pieces:

@@ -10,6 +10,7 @@ World: metres, y up, the floor is y = 0. All poses are at 30 frames/s; every few
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
@@ -32,9 +33,9 @@ from stages.synth.dressed import Bound, accessories, look_of, vertices_at
 from stages.synth.garments import LOWER, UPPER, Garment, Pattern, fit, wardrobe
 from stages.synth.simulate import simulate
 from stages.synth.truth import garment_truth, scan
-from stages.synth.views import Stage, camera_ring
+from stages.synth.views import Scene, camera_ring
 
-WORKERS = 2
+WORKERS = max(1, min(8, os.cpu_count() or 1))
 TRAIN, HELD_OUT = "train", "held_out"
 
 
@@ -85,7 +86,7 @@ def plan(output: Path, config: SynthConfig = SynthConfig()) -> Plan:
             f"{output}/{name}" for name in ("subject_1", "subject_2", "tryon_truth", "motions/held_out.npz")
         ],
         config=asdict(config),
-        seconds=10 + (cloth + pictures) / WORKERS,
+        seconds=10 + (cloth + pictures) / 2,
         memory_bytes=900 << 20,
         disk_bytes=int(views * (4000 + 0.22 * config.image_size**2)) + (12 << 20),
     )
@@ -168,9 +169,9 @@ def _write_capture(path: Path, takes: list[Take], config: SynthConfig, report: R
 
             def render(frame: int, take: Take = take, folder: Any = folder) -> None:
                 vertices = vertices_at(frame, outfit.body, take.poses, outfit.bound, take.cloth)
-                stage = Stage(look, vertices, config.ambient_rays, config.seed)
+                scene = Scene(look, vertices, config.ambient_rays, config.seed)
                 for camera in cameras:
-                    view = stage.picture(camera, config.supersample)
+                    view = scene.picture(camera, config.supersample)
                     folder.view(camera.name, frame, view.image, view.mask, view.labels, jpeg=config.jpeg)
 
             _parallel(render, take.frames, report)

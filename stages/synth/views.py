@@ -59,13 +59,13 @@ def _camera(name: str, azimuth: float, height: float, size: int) -> Camera:
     return Camera(name, size, size, intrinsics, camera_from_world)
 
 
-class Stage:
+class Scene:
     """A dressed person in one frame, ready to be looked at from anywhere."""
 
     def __init__(self, look: Look, vertices: Floats, ambient_rays: int, seed: int) -> None:
         self.look = look
         self.vertices = vertices
-        self.scene = RayScene(vertices, look.faces)
+        self._rays = RayScene(vertices, look.faces)
         self.normals = vertex_normals(vertices, look.faces).astype(np.float64)
         self.openness = self._openness(ambient_rays, seed)
 
@@ -91,7 +91,7 @@ class Stage:
         """Premultiplied linear light (H, W, 3), coverage (H, W), label of the visible layer (H, W)."""
         fine = camera.scaled(supersample)
         origin, directions = fine.rays()
-        hits = self.scene.first_hits(origin, directions)
+        hits = self._rays.first_hits(origin, directions)
         light = np.zeros((camera.height, camera.width, 3))
         alpha = np.zeros((camera.height, camera.width))
         labels = np.full((camera.height, camera.width), NO_LABEL, np.uint8)
@@ -112,7 +112,7 @@ class Stage:
         facing = np.maximum(self.normals @ directions.T, 0.0) * strength  # (V, R)
         vertex, ray = np.nonzero(facing > 0.02)
         starts = self.vertices[vertex] + 0.004 * self.normals[vertex]
-        blocked = self.scene.first_hits(starts, directions[ray]).hit
+        blocked = self._rays.first_hits(starts, directions[ray]).hit
         weight = facing[vertex, ray]
         total = np.bincount(vertex, weight, len(self.vertices))
         seen = np.bincount(vertex, weight * ~blocked, len(self.vertices))

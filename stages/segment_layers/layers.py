@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from stages.segment_layers.config import SegmentLayersConfig
 from stages.segment_layers.extract import LayerPart, extract_part, join, sink
+from stages.segment_layers.orientation import outward_faces
 from stages.segment_layers.regions import face_labels
 from stages.shared.body.kinematics import posed_vertices
 from stages.shared.body.model import BodyModel
@@ -29,7 +30,7 @@ class Template:
     """The template in the world and in canonical space, with the same vertices.
 
     Attributes:
-        world: (V, 3) float64 metres. faces: (F, 3), those that canonicalize kept. normals: (V, 3) world.
+        world: (V, 3) float64 metres. faces: (F, 3), those that canonicalize kept, turned outward. normals: (V, 3) world.
         canonical: vertices, skin_weights, shape_directions of the zero shape.
         canonical_normals: (V, 3). colors: (V, 3) u8 or None. labels: (V,) u8 or None.
     """
@@ -45,11 +46,12 @@ class Template:
     @classmethod
     def load(cls, registered: dict[str, np.ndarray], canonical: dict[str, np.ndarray]) -> Template:
         """From the arrays of the two earlier stages."""
-        world, faces = registered["vertices"].astype(np.float64), canonical["faces"]
+        world = registered["vertices"].astype(np.float64)
+        faces = outward_faces(world, canonical["faces"])
         return cls(
             world,
             faces,
-            vertex_normals(world, registered["faces"]).astype(np.float64),
+            vertex_normals(world, faces).astype(np.float64),
             {name: canonical[name] for name in ("vertices", "skin_weights", "shape_directions")},
             vertex_normals(canonical["vertices"], faces).astype(np.float64),
             registered.get("colors"),

@@ -27,6 +27,10 @@ Doubles = NDArray[np.float64]
 MOST_NODES = 12_000_000
 _FEWEST_CAMERAS = 3
 _COARSENESS = 4
+# How far clothes and hair may go without being asked, how far what one part of the body needs holds for the
+# parts around it, and what is allowed on top of the need; metres.
+_ALWAYS_M, _SPREAD_M, _SLACK_M = 0.04, 0.15, 0.02
+_BIN_STEPS = 1.5  # side of the bins in which pixels are compared, in projected grid steps
 
 
 @dataclass(frozen=True)
@@ -60,7 +64,7 @@ def carve(take: Take, frame: int, body_vertices: Doubles, pitch: float, reach: f
         )
     low, high = body_vertices.min(axis=0) - reach, body_vertices.max(axis=0) + reach
     coarse = _grid(low, high, pitch * _COARSENESS)
-    inside = _field(coarse, silhouettes, body_vertices, reach) > -pitch * _COARSENESS
+    inside = _field(coarse, silhouettes) > -pitch * _COARSENESS
     if not inside.any():
         raise BadData(
             "The masks of the cameras have no volume in common.",
@@ -77,7 +81,7 @@ def carve(take: Take, frame: int, body_vertices: Doubles, pitch: float, reach: f
         )
         pitch = float(finest)
     grid = _grid(low, high, pitch)
-    values = _field(grid, silhouettes, body_vertices, reach)
+    values = _without_ghosts(_field(grid, silhouettes), grid, silhouettes, body_vertices, reach)
     vertices, faces, _ = igl.marching_cubes(values, grid.nodes(), *grid.shape[::-1], 0.0)
     if not len(faces):
         raise BadData(
@@ -152,8 +156,8 @@ def _grid(low: Doubles, high: Doubles, pitch: float) -> _Grid:
     return _Grid(low, pitch, (int(counts[2]), int(counts[1]), int(counts[0])))
 
 
-def _field(grid: _Grid, silhouettes: list[Silhouette], body: Doubles, reach: float) -> Doubles:
-    """(nodes,) metres, positive inside the hull."""
+def _field(grid: _Grid, silhouettes: list[Silhouette]) -> Doubles:
+    """(nodes,) metres, positive inside the hull of the masks."""
     nodes = grid.nodes()
     # A point that fewer than two cameras have in view is not known to be anything.
     seen = np.zeros(len(nodes), np.int32)
@@ -161,13 +165,44 @@ def _field(grid: _Grid, silhouettes: list[Silhouette], body: Doubles, reach: flo
     for one in silhouettes:
         pixels, depth = one.camera.project(nodes)
         in_view = one.camera.in_view(pixels)
-        focal = np.sqrt(one.camera.intrinsics[0, 0] * one.camera.intrinsics[1, 1])
-        distance = sample_bilinear(one.distance, pixels[in_view])[:, 0] * depth[in_view] / focal
+        distance = sample_bilinear(one.distance, pixels[in_view])[:, 0] * depth[in_view] / _focal(one.camera)
         values[in_view] = np.minimum(values[in_view], distance)
         seen += in_view
     values[seen < 2] = -grid.pitch
-    candidate = values > 0
-    if candidate.any():
-        near = reach - cKDTree(body).query(nodes[candidate], distance_upper_bound=reach)[0]
-        values[candidate] = np.minimum(values[candidate], np.maximum(near, -grid.pitch))
     return values
+
+
+def _without_ghosts(
+    values: Doubles, grid: _Grid, silhouettes: list[Silhouette], body: Doubles, reach: float
+) -> Doubles:
+    """The field cut down to what the masks need around each part of the body.
+
+    Few cameras leave ghosts: volume inside of all masks that explains no pixel, as every ray through it meets
+    the person elsewhere. Of all hull points on a ray the one nearest to the body explains the pixel; how far
+    those points lie from a part of the body is how far the hull may go around it.
+    """
+    inside = np.flatnonzero(values > 0)
+    nodes = grid.nodes()[inside]
+    tree = cKDTree(body)
+    distance, nearest = tree.query(nodes)
+    needed = np.zeros(len(body))
+    for one in silhouettes:
+        pixels, depth = one.camera.project(nodes)
+        side = np.ceil(_BIN_STEPS * grid.pitch * _focal(one.camera) / np.median(depth))
+        columns = int(np.ceil(one.camera.width / side)) + 1
+        bins = (pixels[:, 1] // side).astype(np.int64) * columns + (pixels[:, 0] // side).astype(np.int64)
+        order = np.lexsort((distance, bins))
+        explaining = order[np.unique(bins[order], return_index=True)[1]]
+        np.maximum.at(needed, nearest[explaining], distance[explaining])
+    far = np.flatnonzero(needed > _ALWAYS_M)
+    allowed = np.full(len(body), _ALWAYS_M)
+    for part, around in zip(far, tree.query_ball_point(body[far], _SPREAD_M), strict=True):
+        allowed[around] = np.maximum(allowed[around], needed[part])
+    room = np.minimum(allowed[nearest] + _SLACK_M, reach) - distance
+    limited = values.copy()
+    limited[inside] = np.minimum(values[inside], np.maximum(room, -grid.pitch))
+    return limited
+
+
+def _focal(camera: Camera) -> float:
+    return float(np.sqrt(camera.intrinsics[0, 0] * camera.intrinsics[1, 1]))

@@ -13,25 +13,19 @@ from numpy.typing import NDArray
 from stages.register_template.config import RegisterTemplateConfig
 from stages.register_template.fit import fit_body
 from stages.register_template.frame_choice import choose_frame
-from stages.register_template.hull import carve, largest_part, smooth
+from stages.register_template.surface import MEDIAN_BAR_M, distances, make_surface
 from stages.shared.artifacts import ExternalFiles
 from stages.shared.body import BodyModel, Poses, embedded_body, load_body, posed_vertices
 from stages.shared.capture import Capture, Take, open_capture
 from stages.shared.capture.alignment import check_alignment, overlay_picture
 from stages.shared.capture.convention import AS_IS, take_in_convention
-from stages.shared.capture.projection import project_colors
 from stages.shared.errors import BadData, MissingInput, UsageProblem
 from stages.shared.meshes.load import load_mesh
 from stages.shared.meshes.mesh import Mesh
 from stages.shared.meshes.picture import two_sided_picture
-from stages.shared.meshes.raycast import RayScene
-from stages.shared.meshes.remesh import remesh, simplify
-from stages.shared.meshes.topology import vertex_normals
+from stages.shared.meshes.remesh import simplify
 from stages.shared.poses import load_poses
 from stages.shared.report import Report
-
-# A scan farther than this from the body (median of its vertices) is of another frame, place or unit.
-_SCAN_BAR_M = 0.15
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,8 +134,8 @@ def register_capture(source: Source, config: RegisterTemplateConfig, report: Rep
     report.say(f"{100 * alignment.mean_inside:.1f} % of the body's silhouette lies inside the masks")
 
     posed = checked[frame]
-    template, how = _template(source, take, posed, config, report)
-    numbers = _distances(template, posed, body)
+    template, how = make_surface(source.template, take, frame, posed, body, config, report)
+    numbers = distances(template, posed, body)
     overlay = overlay_picture(take, frame, posed, body.faces, alignment.inside)
     poses, rows = _all_training_poses(capture, take)
     return Registered(
@@ -187,8 +181,8 @@ def register_mesh(source: Source, config: RegisterTemplateConfig, report: Report
         how = {"parameters": "given"}
     mesh, way = simplify(mesh, config.most_faces)
     posed = posed_body(body, poses[frame])
-    numbers = _distances(mesh, posed, body)
-    if numbers["template_to_body_m"] > _SCAN_BAR_M:
+    numbers = distances(mesh, posed, body)
+    if numbers["template_to_body_m"] > MEDIAN_BAR_M:
         raise BadData(
             f"Half of the mesh is farther than {100 * numbers['template_to_body_m']:.0f} cm from the body.",
             f"{source.mesh}, {source.params or 'fitted body'}",
@@ -263,71 +257,6 @@ def _frames_checked(take: Take, frame: int) -> list[int]:
     """The template's frame and two others, far from each other."""
     others = [take.frames[len(take.frames) // 3], take.frames[(2 * len(take.frames)) // 3]]
     return sorted({frame, *others})
-
-
-def _template(
-    source: Source, take: Take, posed: NDArray[np.float64], config: RegisterTemplateConfig, report: Report
-) -> tuple[Mesh, dict[str, Any]]:
-    """The surface, and how it was made."""
-    if source.template == "body":
-        report.step("taking the body model as the template")
-        mesh = Mesh(posed.astype(np.float32), source.body.faces)
-        how: dict[str, Any] = {"made": "body model"}
-    elif source.template == "scan":
-        report.step("reading the scan")
-        scan = take.read_scan()
-        assert scan is not None
-        mesh, way = simplify(scan, config.most_faces)
-        _check_scan(mesh, posed, take)
-        return mesh, {"made": "scan", "simplified": way}
-    else:
-        report.step("carving the hull of the masks")
-        carved = carve(take, source.frame, posed, config.hull_pitch_m, config.hull_reach_m, report)
-        even, way = remesh(smooth(carved, config.smoothing_steps), config.edge_m)
-        mesh = largest_part(even)
-        how = {"made": "hull", "carved_vertices": len(carved.vertices), "remeshed": way}
-    return _colored(mesh, take, source.frame), how
-
-
-def _colored(mesh: Mesh, take: Take, frame: int) -> Mesh:
-    """The mesh with the colours that the cameras see; unseen vertices take the nearest seen one's."""
-    normals = vertex_normals(mesh.vertices, mesh.faces)
-    colors, confidence = project_colors(
-        mesh.vertices, normals, RayScene(mesh.vertices, mesh.faces), take, frame
-    )
-    unseen = confidence <= 0
-    if unseen.any() and not unseen.all():
-        from scipy.spatial import cKDTree
-
-        nearest = cKDTree(mesh.vertices[~unseen]).query(mesh.vertices[unseen])[1]
-        colors[unseen] = colors[~unseen][nearest]
-    return Mesh(mesh.vertices, mesh.faces, np.rint(255 * np.clip(colors, 0, 1)).astype(np.uint8))
-
-
-def _check_scan(mesh: Mesh, posed: NDArray[np.float64], take: Take) -> None:
-    distance = float(np.median(np.linalg.norm(mesh.vertices - _nearest(posed, mesh.vertices), axis=1)))
-    if distance > _SCAN_BAR_M:
-        raise BadData(
-            f"Half of the scan is farther than {100 * distance:.0f} cm from the body.",
-            f"{take.scan}, frame {take.scan_frame}",
-            "Check that scan and poses are of the same frame and in metres, or choose --template hull.",
-        )
-
-
-def _nearest(points: NDArray[np.float64], queries: NDArray) -> NDArray[np.float64]:
-    from scipy.spatial import cKDTree
-
-    return points[cKDTree(points).query(queries)[1]]
-
-
-def _distances(template: Mesh, posed: NDArray[np.float64], body: BodyModel) -> dict[str, Any]:
-    """Median distance between template and body, both ways, metres."""
-    to_body = RayScene(posed, body.faces).distance(template.vertices)
-    to_template = RayScene(template.vertices, template.faces).distance(posed)
-    return {
-        "template_to_body_m": float(np.median(to_body)),
-        "body_to_template_m": float(np.median(to_template)),
-    }
 
 
 def _all_training_poses(capture: Capture, take: Take) -> tuple[Poses, dict[str, list[int]]]:

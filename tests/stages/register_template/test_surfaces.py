@@ -55,7 +55,7 @@ def test_open_arms_win_and_closed_ones_lose() -> None:
 
 
 def test_hull_of_a_ball_is_the_ball_and_a_little_more() -> None:
-    points = scene.CENTRE + np.random.default_rng(0).normal(0, 0.1, (500, 3))
+    points = sphere(0.32).vertices + scene.CENTRE  # the body in there
     hull = carve(ball_take(8), 0, points, 0.02, 0.6, SILENT)
     distance = np.linalg.norm(hull.vertices - scene.CENTRE, axis=1)
     assert distance.min() > 0.985 * scene.RADIUS  # a hull contains the shape, up to a fraction of a pixel

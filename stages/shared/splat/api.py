@@ -69,7 +69,7 @@ def rasterize(
         means, quats, scales, covars, opacities, colors, viewmats, Ks, background, width, height,
         None, 0, median_depth, settings,
     )  # fmt: skip
-    return _picture(_backend(backend, scene)(scene), 0, viewmats.ndim == 3)
+    return _pictures(_backend(backend, scene)(scene), viewmats.ndim == 3)[0]
 
 
 def rasterize_layers(
@@ -106,21 +106,22 @@ def rasterize_layers(
         means, quats, scales, covars, opacities, colors, viewmats, Ks, background, width, height,
         layer_ids, layers, median_depth, settings,
     )  # fmt: skip
-    pictures = _backend(backend, scene)(scene)
-    batched = viewmats.ndim == 3
-    return LayeredRendering(
-        _picture(pictures, 0, batched), tuple(_picture(pictures, 1 + i, batched) for i in range(layers))
-    )
+    composite, *alone = _pictures(_backend(backend, scene)(scene), viewmats.ndim == 3)
+    return LayeredRendering(composite, tuple(alone))
 
 
-def _picture(pictures: Rendering, row: int, batched: bool) -> Rendering:
-    """Row of (1 + L, B, H, W, ...) fields; without the camera axis when the caller gave one camera."""
+def _pictures(stack: Rendering, batched: bool) -> list[Rendering]:
+    """(1 + L, B, H, W, ...) fields -> 1 + L renderings; without the camera axis when one camera was given.
 
-    def pick(field: Tensor) -> Tensor:
-        return field[row] if batched else field[row, 0]
+    Axes are taken apart, not indexed: the backward of an index would fill and add whole pictures of zeros.
+    """
 
-    median = None if pictures.median_depth is None else pick(pictures.median_depth)
-    return Rendering(pick(pictures.features), pick(pictures.alpha), pick(pictures.depth), median)
+    def parts(field: Tensor) -> tuple[Tensor, ...]:
+        return (field if batched else field.squeeze(1)).unbind(0)
+
+    fields = [parts(stack.features), parts(stack.alpha), parts(stack.depth)]
+    medians = [None] * len(fields[0]) if stack.median_depth is None else parts(stack.median_depth)
+    return [Rendering(*picture) for picture in zip(*fields, medians, strict=True)]
 
 
 def _backend(name: str, scene: Scene) -> Callable[[Scene], Rendering]:

@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from stages.shared.errors import BadData
 from stages.shared.splat.kernels import layout
 from stages.shared.splat.kernels import project as projection
 from stages.shared.splat.kernels.blend import blend, median_depths
@@ -22,21 +23,28 @@ from stages.shared.splat.kernels.blend_backward import blend_backward
 from stages.shared.splat.kernels.order import count_tiles, depth_order, fill_tiles, place_tiles
 from stages.shared.splat.kernels.threads import run_together
 from stages.shared.splat.rendering import Rendering
-from stages.shared.splat.scene import Scene
+from stages.shared.splat.scene import Scene, check_gaussians
 from stages.shared.splat.settings import FRUSTUM_MARGIN, SplatSettings
 
 
+class RefusedGaussians(Exception):
+    """Projection met numbers that cannot be rendered."""
+
+
+_MOST_ENTRIES = (1 << 31) - 1
+
+
 @dataclass(frozen=True)
-class _Sizes:
+class Sizes:
     """Everything about a call that is not an array."""
 
     width: int
     height: int
     channels: int
     layers: int | None
-    lanes: int
     median: bool
     settings: SplatSettings
+    lanes: int
 
     @property
     def specialised(self) -> bool:
@@ -58,38 +66,43 @@ class _Sizes:
     def slot(self) -> int:
         return layout.slot_length(self.channels, self.lanes)
 
-    @property
-    def block_height_shift(self) -> int:
-        return (self.lanes // layout.BLOCK_WIDTH).bit_length() - 1
+    def argument(self, size: int) -> tuple[int, ...] | int:
+        """A size that kernels are compiled for, or one they are told."""
+        return layout.size_argument(size, self.specialised)
 
-    def kernel_sizes(self) -> tuple[Any, Any, Any]:
-        """The arguments ramps, lanes, channels of the blending kernels."""
+    def kernel_sizes(self) -> tuple[Any, ...]:
+        """The arguments width ... channels of the blending kernels."""
+        lanes = layout.lanes_argument(self.lanes)
         return (
-            layout.ramps(self.lanes),
-            layout.lanes_argument(self.lanes),
-            layout.size_argument(self.channels, self.specialised),
+            self.width,
+            self.height,
+            self.layers,
+            layout.constants(self.lanes),
+            lanes,
+            self.argument(self.channels),
         )
 
 
 @dataclass(frozen=True)
-class _Gaussians:
-    """The inputs as contiguous float32 arrays."""
+class Gaussians:
+    """The inputs as flat float32 arrays; layer_ids int32."""
 
-    means: np.ndarray
-    quats: np.ndarray | None
-    scales: np.ndarray | None
-    covars: np.ndarray | None
-    opacities: np.ndarray
-    colors: np.ndarray
-    layer_ids: np.ndarray | None
+    means: np.ndarray  # (3N,)
+    quats: np.ndarray | None  # (4N,)
+    scales: np.ndarray | None  # (3N,)
+    covars: np.ndarray | None  # (9N,)
+    opacities: np.ndarray  # (N,)
+    colors: np.ndarray  # (C N,)
+    layer_ids: np.ndarray | None = None  # (N,)
 
     @property
-    def shape(self) -> tuple[Any, ...]:
+    def placed(self) -> tuple[Any, ...]:
+        """What projection reads."""
         return self.means, self.quats, self.scales, self.covars, self.opacities
 
 
 @dataclass(frozen=True)
-class _View:
+class View:
     """What one camera saw: kept for the backward pass."""
 
     camera: np.ndarray  # (24,) see kernels/project.py
@@ -99,75 +112,92 @@ class _View:
     first_slots: np.ndarray  # (N + 1,)
     slots: np.ndarray  # (E,) places in the tile lists, Gaussian by Gaussian
     starts: np.ndarray  # (tiles + 1,)
-    gaussians: np.ndarray  # (E,)
-    blocks: np.ndarray  # (E,)
+    gaussians: np.ndarray  # (E,) tile lists: rows
+    blocks: np.ndarray  # (E,) blocks of the tile that each entry changed
 
 
-def _camera(viewmat: np.ndarray, intrinsics: np.ndarray, sizes: _Sizes) -> np.ndarray:
+def camera_numbers(viewmat: np.ndarray, intrinsics: np.ndarray, sizes: Sizes) -> np.ndarray:
     """One camera as the 24 doubles that the projection reads."""
     fx, fy, cx, cy = intrinsics[0, 0], intrinsics[1, 1], intrinsics[0, 2], intrinsics[1, 2]
     margin_x, margin_y = FRUSTUM_MARGIN * 0.5 * sizes.width / fx, FRUSTUM_MARGIN * 0.5 * sizes.height / fy
-    limits = (
-        -cx / fx - margin_x,
-        (sizes.width - cx) / fx + margin_x,
-        -cy / fy - margin_y,
-        (sizes.height - cy) / fy + margin_y,
-    )
+    left, right = -cx / fx - margin_x, (sizes.width - cx) / fx + margin_x
+    top, bottom = -cy / fy - margin_y, (sizes.height - cy) / fy + margin_y
     options = sizes.settings
     tail = (options.near, options.far, options.eps2d, float(options.antialiased))
-    return np.array([*viewmat[:3, :3].ravel(), *viewmat[:3, 3], fx, fy, cx, cy, *limits, *tail], np.float64)
+    axes = (*viewmat[:3, :3].ravel(), *viewmat[:3, 3])
+    return np.array([*axes, fx, fy, cx, cy, left, right, top, bottom, *tail], np.float64)
 
 
-def _arrange(gaussians: _Gaussians, camera: np.ndarray, background: np.ndarray, sizes: _Sizes) -> _View:
+def arrange(gaussians: Gaussians, camera: np.ndarray, background: np.ndarray, sizes: Sizes) -> View:
     """Project, sort by depth, sort into tiles."""
-    n = len(gaussians.means)
-    records = np.empty(n * sizes.record, np.float32)
-    boxes = np.empty(4 * n, np.uint16)
+    n = len(gaussians.opacities)
+    records, boxes = np.empty(n * sizes.record, np.float32), np.empty(4 * n, np.uint16)
     depths, counts = np.empty(n, np.float32), np.empty(n, np.int32)
     run_together(
-        projection.project, *gaussians.shape, gaussians.colors, gaussians.layer_ids, camera, float(sizes.width),
-        float(sizes.height), records, sizes.record, boxes, depths, counts,
+        projection.project, *gaussians.placed, gaussians.colors, sizes.channels, gaussians.layer_ids, camera,
+        float(sizes.width), float(sizes.height), records, sizes.record, boxes, depths, counts,
     )  # fmt: skip
     first_slots = np.empty(n + 1, np.int32)
-    order = depth_order(depths.view(np.uint32), counts, first_slots)
-    entries = int(first_slots[n])
+    order, entries = depth_order(depths.view(np.uint32), counts, first_slots)
+    if entries < 0:
+        raise RefusedGaussians
+    if entries > _MOST_ENTRIES:
+        raise BadData(
+            f"The Gaussians cover {entries:.3g} tiles in all, more than {_MOST_ENTRIES:.3g}.",
+            "scales, Ks",
+            "Look for scales in the wrong unit, or render a smaller picture.",
+        )
     tallies = np.zeros((max(torch.get_num_threads(), 1), sizes.tiles), np.int32)
     starts = np.empty(sizes.tiles + 1, np.int64)
     run_together(count_tiles, order, boxes, sizes.columns, tallies)
     place_tiles(tallies, starts)
-    rows, blocks, slots = (
+    rows, slots, blocks = (
+        np.empty(entries, np.int32),
         np.empty(entries, np.int32),
         np.empty(entries, np.uint32),
-        np.empty(entries, np.int32),
     )
-    run_together(
-        fill_tiles,
-        order,
-        boxes,
-        first_slots,
-        sizes.columns,
-        sizes.block_height_shift,
-        tallies,
-        rows,
-        blocks,
-        slots,
-    )
-    return _View(camera, background, records, counts, first_slots, slots, starts, rows, blocks)
+    run_together(fill_tiles, order, boxes, first_slots, sizes.columns, tallies, rows, slots)
+    return View(camera, background, records, counts, first_slots, slots, starts, rows, blocks)
 
 
-def _blend(view: _View, features: np.ndarray, alpha: np.ndarray, depth: np.ndarray, sizes: _Sizes) -> None:
+def blend_view(
+    view: View,
+    features: np.ndarray,
+    alpha: np.ndarray,
+    depth: np.ndarray,
+    median: np.ndarray | None,
+    sizes: Sizes,
+) -> None:
+    """Fill the pictures (1 + L, H, W, ...) of one camera."""
     run_together(
-        blend, view.starts, view.gaussians, view.blocks, view.records, sizes.record, view.background,
-        features.reshape(-1), alpha.reshape(-1), depth.reshape(-1), sizes.width, sizes.height, sizes.layers,
-        *sizes.kernel_sizes(),
+        blend, view.starts, view.gaussians, view.records, sizes.record, view.background, features.reshape(-1),
+        alpha.reshape(-1), depth.reshape(-1), view.blocks, *sizes.kernel_sizes(), sizes.argument(2 + sizes.channels),
     )  # fmt: skip
+    if median is not None:
+        run_together(
+            median_depths, view.starts, view.gaussians, view.blocks, view.records, sizes.record, median.reshape(-1),
+            sizes.width, sizes.height, sizes.layers, layout.constants(sizes.lanes), sizes.lanes,
+        )  # fmt: skip
 
 
-def _median(view: _View, sizes: _Sizes, median: np.ndarray) -> None:
+def view_backward(
+    gaussians: Gaussians, view: View, pictures: list[np.ndarray], incoming: list[np.ndarray],
+    outgoing: list[np.ndarray | None], add: bool, sizes: Sizes,
+) -> np.ndarray:  # fmt: skip
+    """Write (or add) the gradients of one camera's pictures to `outgoing`; returns those of the camera (16,)."""
+    lanes, slot = layout.lanes_argument(sizes.lanes), sizes.argument(sizes.slot)
+    sums = np.empty(len(view.gaussians) * sizes.slot, np.float32)
     run_together(
-        median_depths, view.starts, view.gaussians, view.blocks, view.records, sizes.record, median.reshape(-1),
-        sizes.width, sizes.height, sizes.layers,
+        blend_backward, view.starts, view.gaussians, view.records, sizes.record, view.background,
+        *(x.reshape(-1) for x in pictures), view.blocks, *(x.reshape(-1) for x in incoming), sums,
+        *sizes.kernel_sizes(), slot,
     )  # fmt: skip
+    turns = -(-len(gaussians.opacities) // (layout.GROUP * layout.GROUPS_PER_TURN))
+    shares = np.empty(turns * projection.CAMERA_GRADIENTS, np.float64)
+    run_together(
+        projection.project_backward, *gaussians.placed, view.camera, view.counts, view.first_slots, view.slots, sums, lanes, slot, sizes.channels, add, *outgoing, shares,
+    )  # fmt: skip
+    return shares.reshape(turns, projection.CAMERA_GRADIENTS).sum(0)
 
 
 class _Rasterize(torch.autograd.Function):
@@ -176,7 +206,7 @@ class _Rasterize(torch.autograd.Function):
     @staticmethod
     def forward(  # type: ignore[override]
         ctx: Any,
-        sizes: _Sizes,
+        sizes: Sizes,
         layer_ids: Tensor | None,
         means: Tensor,
         quats: Tensor | None,
@@ -188,85 +218,78 @@ class _Rasterize(torch.autograd.Function):
         Ks: Tensor,
         background: Tensor | None,
     ) -> tuple[Tensor, ...]:
-        gaussians = _Gaussians(
-            *(_array(x) for x in (means, quats, scales, covars, opacities, colors, layer_ids))  # type: ignore[arg-type]
-        )
-        cameras = len(viewmats)
-        shape = (cameras, 1 + (sizes.layers or 0), sizes.height, sizes.width)
-        features = np.empty((*shape, sizes.channels), np.float32)
-        alpha, depth = np.empty(shape, np.float32), np.empty(shape, np.float32)
-        median = np.empty(shape if sizes.median else 0, np.float32)
-        black = np.zeros((cameras, sizes.channels), np.float32)
-        behind = black if background is None else _array(background)
-        assert behind is not None
+        inputs = [
+            None if x is None else x.contiguous()
+            for x in (means, quats, scales, covars, opacities, colors, layer_ids)
+        ]
+        gaussians = _gaussians(inputs)
+        shape = (len(viewmats), 1 + (sizes.layers or 0), sizes.height, sizes.width)
+        features, alpha, depth = torch.empty((*shape, sizes.channels)), torch.empty(shape), torch.empty(shape)
+        median = torch.empty(shape if sizes.median else 0)
+        behind = torch.zeros(shape[0], sizes.channels) if background is None else background.contiguous()
         views = []
-        for i in range(cameras):
-            camera = _camera(viewmats[i].double().numpy(), Ks[i].double().numpy(), sizes)
-            view = _arrange(gaussians, camera, np.ascontiguousarray(behind[i]), sizes)
-            _blend(view, features[i], alpha[i], depth[i], sizes)
-            if sizes.median:
-                _median(view, sizes, median[i])
+        for i in range(shape[0]):
+            camera = camera_numbers(viewmats[i].double().numpy(), Ks[i].double().numpy(), sizes)
+            view = arrange(gaussians, camera, behind[i].numpy(), sizes)
+            middle = median[i].numpy() if sizes.median else None
+            blend_view(view, features[i].numpy(), alpha[i].numpy(), depth[i].numpy(), middle, sizes)
             views.append(view)
         if any(ctx.needs_input_grad):
-            ctx.kept = (sizes, gaussians, views, features, alpha, depth)
-        outputs = tuple(torch.from_numpy(x) for x in (features, alpha, depth, median))
-        ctx.mark_non_differentiable(outputs[3])
-        ctx.set_materialize_grads(True)
-        return outputs
+            ctx.sizes, ctx.views = sizes, views
+            ctx.save_for_backward(*inputs, features, alpha, depth)
+        ctx.mark_non_differentiable(median)
+        return features, alpha, depth, median
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
-        sizes, gaussians, views, features, alpha, depth = ctx.kept
-        incoming = [_array(g) for g in grads[:3]]
-        means, quats, scales, covars, opacities = gaussians.shape
-        outgoing = [None if x is None else np.empty_like(x) for x in (*gaussians.shape, gaussians.colors)]
-        turns = -(-len(means) // (layout.GROUP * layout.GROUPS_PER_TURN))
-        g_viewmats = np.zeros((len(views), 4, 4), np.float32)
-        g_Ks = np.zeros((len(views), 3, 3), np.float32)
+        sizes, views = ctx.sizes, ctx.views
+        *inputs, features, alpha, depth = ctx.saved_tensors
+        gaussians = _gaussians(inputs)
+        incoming = [x.contiguous() for x in grads[:3]]
+        outgoing = [None if x is None else torch.empty_like(x) for x in inputs[:6]]
+        arrays = [None if x is None else x.numpy().reshape(-1) for x in outgoing]
+        g_viewmats, g_Ks = torch.zeros(len(views), 4, 4), torch.zeros(len(views), 3, 3)
         for i, view in enumerate(views):
-            sums = np.empty(len(view.gaussians) * sizes.slot, np.float32)
-            run_together(
-                blend_backward, view.starts, view.gaussians, view.blocks, view.records, sizes.record, view.background,
-                *(x[i].reshape(-1) for x in (features, alpha, depth)), *(x[i].reshape(-1) for x in incoming),
-                sums, sizes.width, sizes.height, sizes.layers, *sizes.kernel_sizes(),
-                layout.size_argument(sizes.slot, sizes.specialised),
-            )  # fmt: skip
-            shares = np.empty((turns, projection.CAMERA_GRADIENTS), np.float64)
-            g_means, g_quats, g_scales, g_covars, g_opacities, g_colors = outgoing
-            run_together(
-                projection.project_backward, means, quats, scales, covars, opacities, view.camera, view.counts,
-                view.first_slots, view.slots, view.blocks, sums, sizes.slot, i > 0, g_means, g_quats, g_scales,
-                g_covars, g_opacities, g_colors, shares,
-            )  # fmt: skip
-            g_camera = shares.sum(0)
+            pictures = [x[i].numpy() for x in (features, alpha, depth)]
+            g_pictures = [x[i].numpy() for x in incoming]
+            g_camera = view_backward(gaussians, view, pictures, g_pictures, arrays, i > 0, sizes)
+            g_camera = torch.from_numpy(g_camera).float()
             g_viewmats[i, :3, :3], g_viewmats[i, :3, 3] = g_camera[:9].reshape(3, 3), g_camera[9:12]
-            g_Ks[i, [0, 1, 0, 1], [0, 1, 2, 2]] = g_camera[12:16]
+            g_Ks[i, [0, 1, 0, 1], [0, 1, 2, 2]] = g_camera[12:]
         g_background = None
         if ctx.needs_input_grad[10]:
-            g_background = torch.from_numpy(np.einsum("bshwc,bshw->bc", incoming[0], 1 - alpha))
-        gradients = [None if x is None else torch.from_numpy(x) for x in outgoing]
-        return (None, None, *gradients, torch.from_numpy(g_viewmats), torch.from_numpy(g_Ks), g_background)
+            # numpy's plain sum: one thread, so that its order is fixed.
+            g_background = torch.from_numpy(
+                np.einsum("bshwc,bshw->bc", incoming[0].numpy(), 1 - alpha.numpy())
+            )
+        return (None, None, *outgoing, g_viewmats, g_Ks, g_background)
 
 
-def _array(tensor: Tensor | None) -> np.ndarray | None:
-    return None if tensor is None else tensor.detach().contiguous().numpy()
+def _gaussians(inputs: list[Tensor | None]) -> Gaussians:
+    return Gaussians(*(None if x is None else x.detach().numpy().reshape(-1) for x in inputs))  # type: ignore[arg-type]
 
 
 def render_scene(scene: Scene) -> Rendering:
     """Every camera, composite and layers: fields of shape (1 + L, B, H, W, ...), in the dtype of the means."""
-    sizes = _Sizes(
-        scene.width, scene.height, scene.colors.shape[1], scene.layers or None, layout.host_lanes(), scene.median,
-        scene.settings,
+    sizes = Sizes(
+        scene.width, scene.height, scene.colors.shape[1], scene.layers or None, scene.median, scene.settings,
+        layout.host_lanes(),
     )  # fmt: skip
     inputs = (
         scene.means, scene.quats, scene.scales, scene.covars, scene.opacities, scene.colors, scene.viewmats,
         scene.Ks, scene.background,
     )  # fmt: skip
     singles = [None if x is None else x.float() for x in inputs]
-    pictures = _Rasterize.apply(sizes, scene.layer_ids, *singles)
+    try:
+        pictures = _Rasterize.apply(sizes, scene.layer_ids, *singles)
+    except RefusedGaussians:
+        check_gaussians(scene)
+        raise
     features, alpha, depth, median = (x.to(scene.means.dtype) for x in pictures)
     return Rendering(
-        features.transpose(0, 1), alpha.transpose(0, 1), depth.transpose(0, 1),
+        features.transpose(0, 1),
+        alpha.transpose(0, 1),
+        depth.transpose(0, 1),
         median.transpose(0, 1) if scene.median else None,
-    )  # fmt: skip
+    )

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from stages.shared.splat.rendering import Rendering, stacked
-from stages.shared.splat.scene import Scene
+from stages.shared.splat.scene import Scene, check_gaussians
 from stages.shared.splat.settings import (
     ALPHA_MAX,
     ALPHA_MIN,
@@ -198,6 +198,7 @@ def render(
 
 def render_scene(scene: Scene) -> Rendering:
     """Every camera, composite and layers: fields of shape (1 + L, B, H, W, ...)."""
+    check_gaussians(scene)
     covars = scene.covars if scene.covars is not None else covariances(scene.quats, scene.scales)
     rows: list[list[Rendering]] = [[] for _ in range(1 + scene.layers)]
     for camera in range(len(scene.viewmats)):

@@ -8,14 +8,14 @@ import torch
 from torch import Tensor
 
 from stages.shared.errors import BadData, UsageProblem
-from stages.shared.splat.settings import SplatSettings
+from stages.shared.splat.settings import SHORTEST_QUATERNION, SplatSettings
 
 _LARGEST_SIDE = 1 << 16
 
 
 @dataclass(frozen=True)
 class Scene:
-    """Gaussians and cameras, shapes checked, numbers finite.
+    """Gaussians and cameras, shapes checked.
 
     means (N, 3) m world; quats (N, 4) wxyz and scales (N, 3) m, or covars (N, 3, 3) m^2; opacities (N,);
     colors (N, C); viewmats (B, 4, 4) camera_from_world; Ks (B, 3, 3) px; background (B, C) or None;
@@ -56,7 +56,7 @@ def make_scene(
     median: bool,
     settings: SplatSettings,
 ) -> Scene:
-    """Check everything a backend relies on.
+    """Check what all backends rely on; the numbers of single Gaussians are left to `check_gaussians`.
 
     Raises UsageProblem for shapes and sizes that cannot be meant, BadData for numbers that cannot be
     rendered; both name the array, BadData also the row.
@@ -94,16 +94,16 @@ def make_scene(
         ("background", background, (b, c)),
     ]
     for name, array, shape in wanted:
-        if array is None:
-            continue
-        if tuple(array.shape) != shape:
+        if array is not None and tuple(array.shape) != shape:
             raise UsageProblem(
                 f"{name} has shape {tuple(array.shape)}; {shape} is needed.",
                 name,
                 "Give one row per Gaussian (camera).",
             )
-        _check_finite(name, array)
-    _check_numbers(quats, scales, covars, opacities, Ks)
+    for name, array in (("colors", colors), ("viewmats", viewmats), ("Ks", Ks), ("background", background)):
+        if array is not None:
+            _check_finite(name, array)
+    _check_intrinsics(Ks)
     if layers:
         layer_ids = _checked_layers(layer_ids, n, layers)
     return Scene(
@@ -122,34 +122,31 @@ def _check_finite(name: str, array: Tensor) -> None:
             raise _bad_row(name, bad[0].tolist(), "is not a finite number")
 
 
-def _check_numbers(
-    quats: Tensor | None, scales: Tensor | None, covars: Tensor | None, opacities: Tensor, Ks: Tensor
-) -> None:
+def check_gaussians(scene: Scene) -> None:
+    """Refuse numbers of single Gaussians that cannot be rendered, naming array and row (BadData)."""
+    for name in ("means", "quats", "scales", "covars", "opacities"):
+        array = getattr(scene, name)
+        if array is not None:
+            _check_finite(name, array)
     with torch.no_grad():
-        if opacities.numel():
-            low, high = torch.aminmax(opacities)
-            if low < 0 or high > 1:
-                bad = ((opacities < 0) | (opacities > 1)).nonzero()[0].tolist()
-                raise _bad_row("opacities", bad, "is outside [0, 1]")
-        if quats is not None and len(quats):
-            largest = quats.abs().amax(1)
-            if largest.min() < SHORTEST_QUATERNION:
-                raise _bad_row("quats", [int(largest.argmin())], "is zero: it has no direction")
-        if covars is not None and len(covars):
-            variances = covars.diagonal(dim1=1, dim2=2)
-            if variances.min() < 0:
-                raise _bad_row("covars", (variances < 0).nonzero()[0, :1].tolist(), "has a negative variance")
-        focal = Ks[:, [0, 1], [0, 1]]
-        if bool((focal <= 0).any()):
-            raise _bad_row(
-                "Ks", (focal <= 0).nonzero()[0, :1].tolist(), "has a focal length that is not positive"
-            )
-        if bool((Ks[:, 0, 1] != 0).any()):
-            raise _bad_row("Ks", Ks[:, 0, 1].nonzero()[0].tolist(), "has skew, which is not supported")
+        _refuse("opacities", (scene.opacities < 0) | (scene.opacities > 1), "is outside [0, 1]")
+        if scene.quats is not None:
+            short = scene.quats.abs().amax(1) < SHORTEST_QUATERNION
+            _refuse("quats", short, "is zero: it has no direction")
+        if scene.covars is not None:
+            variances = scene.covars.diagonal(dim1=1, dim2=2)
+            _refuse("covars", (variances < 0).any(1), "has a negative variance")
 
 
-SHORTEST_QUATERNION = 1e-15
-"""Below this the gradient of a quaternion, which grows with 1 / length, leaves float32."""
+def _check_intrinsics(Ks: Tensor) -> None:
+    with torch.no_grad():
+        _refuse("Ks", (Ks[:, [0, 1], [0, 1]] <= 0).any(1), "has a focal length that is not positive")
+        _refuse("Ks", Ks[:, 0, 1] != 0, "has skew, which is not supported")
+
+
+def _refuse(name: str, bad: Tensor, problem: str) -> None:
+    if bool(bad.any()):
+        raise _bad_row(name, bad.nonzero()[0].tolist(), problem)
 
 
 def _checked_layers(layer_ids: Tensor | None, n: int, layers: int) -> Tensor:

@@ -17,6 +17,10 @@ FRUSTUM_MARGIN = 0.3
 """The perspective Jacobian is taken inside the image widened by this share of half its width (height)."""
 
 
+SHORTEST_QUATERNION = 1e-15
+"""Largest entry below which a quaternion is refused: its gradient, which grows with 1 / length, leaves float32."""
+
+
 @dataclass(frozen=True)
 class SplatSettings:
     """Options of one rendering.

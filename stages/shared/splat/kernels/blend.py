@@ -1,121 +1,97 @@
-"""Forward blending: every tile walks its list front to back, a block of pixels at a time.
+"""Forward blending: tile by tile, in two turns over a stretch of the tile's list.
 
-State of a tile lies in L1: per picture ("set": the composite, then each layer alone) the planes transmittance,
-depth, colours, each TILE_PIXELS floats in block order. A negative transmittance marks a pixel that stopped.
+First every Gaussian is tested against all blocks of the tile at once (a lane is a block). Then each block walks
+the Gaussians that can reach it front to back, its pixels in registers, until all of them are opaque. State between stretches lies in L1: for each picture (the
+composite, then each layer alone) and block the planes transmittance, depth, colours.
 """
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numba import njit
 
+from stages.shared.splat.kernels.falloff import block_corner, falloff, numbers, pass_through, pixel_place
 from stages.shared.splat.kernels.lanes import (
     at,
+    bank,
+    bank_at,
+    bit_column,
     bits,
-    exp2_small,
     fma,
+    get,
     length,
     load,
     lowest_bit,
     magnitude,
-    minimum,
+    maximum,
     prefetch,
-    spread,
-    store,
+    put,
+    set_at,
     take,
-    where,
 )
 from stages.shared.splat.kernels.layout import (
     BLOCK_WIDTH,
-    BLOCKS_ACROSS,
     CENTER_X,
     CENTER_Y,
-    COLOR,
     DEPTH,
     LAYER,
     LOG_OPACITY,
+    NUMBERS,
     TILE,
     TILE_PIXELS,
     UX,
     UY,
     VY,
 )
-from stages.shared.splat.settings import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
+from stages.shared.splat.settings import ALPHA_MAX
 
 # mypy: disable-error-code="no-untyped-def"
 
-CUT = np.float32(math.log2(ALPHA_MIN))
-ALPHA_TOP = np.float32(ALPHA_MAX)
-STOP = np.float32(TRANSMITTANCE_MIN)
 ZERO, ONE = np.float32(0.0), np.float32(1.0)
 AHEAD = 8
 """List entries between asking for a record and using it: about the latency of the third-level cache."""
+_STRETCH = 256
+"""List entries per turn: their records (64 bytes each) and the block lists stay in L1."""
+_SLACK = np.float32(0.01)
+"""Added to the reach of a Gaussian in the block test, in units of the exponent, against rounding."""
 
 
 @njit(forceinline=True)
-def exponent(u, v, log_opacity):
-    """log2(alpha) = log_opacity - u^2 - v^2."""
-    return fma(ZERO - u, u, fma(ZERO - v, v, log_opacity))
-
-
-@njit(forceinline=True)
-def pixel_place(row, column, block_height):
-    """Where pixel (row, column) of a tile is in a plane."""
-    block = (row // block_height) * BLOCKS_ACROSS + column // BLOCK_WIDTH
-    return block * block_height * BLOCK_WIDTH + (row % block_height) * BLOCK_WIDTH + column % BLOCK_WIDTH
-
-
-@njit(forceinline=True)
-def _add(state, plane, record, records, alpha, lanes, channels):
-    """Put a Gaussian behind what a block of one picture has so far; returns which lanes took it."""
-    before = load(state, plane, lanes)
-    after = fma(ZERO - alpha, before, before)
-    open_lanes = after > STOP
-    weight = where(open_lanes, before * alpha, ZERO)
-    store(state, plane, where(open_lanes, after, ZERO - magnitude(before)))
-    for channel in range(length(channels) + 1):
-        plane += TILE_PIXELS
-        store(state, plane, fma(weight, at(records, record + DEPTH + channel), load(state, plane, lanes)))
-    return open_lanes
-
-
-@njit(forceinline=True)
-def _start_tile(state, live, sets, set_size, top, left, width, height, block_height):
-    """Empty pixels; those outside the image are stopped. Returns the bits of blocks with a pixel inside."""
-    state[:] = ZERO
+def _start_tile(state, live, sets, planes, count, top, left, width, height):
+    """Empty pixels; those outside the image are stopped from the beginning."""
+    set_size = planes * TILE_PIXELS
     inside = 0
-    for row in range(min(TILE, height - top)):
-        for column in range(min(TILE, width - left)):
-            place = pixel_place(row, column, block_height)
-            inside |= 1 << (place // (block_height * BLOCK_WIDTH))
+    for block in range(TILE_PIXELS // count):
+        x, y = block_corner(block, count, top, left)
+        if x < width and y < height:
+            inside |= 1 << block
     for picture in range(sets):
         live[picture] = inside
-        for place in range(TILE_PIXELS):
-            state[picture * set_size + place] = -ONE
-        for row in range(min(TILE, height - top)):
-            for column in range(min(TILE, width - left)):
-                state[picture * set_size + pixel_place(row, column, block_height)] = ONE
+        for place in range(picture * set_size, (picture + 1) * set_size):
+            state[place] = ZERO
+        for row in range(TILE):
+            for column in range(TILE):
+                place = picture * set_size + pixel_place(row, column, count, planes)
+                state[place] = ONE if top + row < height and left + column < width else -ONE
 
 
 @njit(forceinline=True)
-def _finish_tile(
-    state, sets, set_size, top, left, width, height, block_height, background, features, alpha, depth
-):
+def _finish_tile(state, sets, planes, count, top, left, width, height, background, features, alpha, depth):
     """Write a tile's pixels, background behind them."""
     channels = len(background)
     for picture in range(sets):
+        base = picture * planes * TILE_PIXELS
         for row in range(top, min(top + TILE, height)):
             for column in range(left, min(left + TILE, width)):
-                place = picture * set_size + pixel_place(row - top, column - left, block_height)
+                place = base + pixel_place(row - top, column - left, count, planes)
                 pixel = (picture * height + row) * width + column
                 remaining = abs(state[place])
                 alpha[pixel] = ONE - remaining
-                depth[pixel] = state[place + TILE_PIXELS]
+                depth[pixel] = state[place + count]
                 for c in range(channels):
-                    value = state[place + (2 + c) * TILE_PIXELS]
-                    features[pixel * channels + c] = value + remaining * background[c]
+                    features[pixel * channels + c] = (
+                        state[place + (2 + c) * count] + remaining * background[c]
+                    )
 
 
 @njit(forceinline=True)
@@ -131,26 +107,89 @@ def _empty_tile(sets, top, left, width, height, background, features, alpha, dep
                     features[pixel * channels + c] = background[c]
 
 
+@njit(forceinline=True)
+def _reached_blocks(records, record, constants, top, left, lanes):
+    """Bits of the blocks that a Gaussian may reach: u and v are bounded over a block separately.
+
+    u = UX dx + UY dy spans its value in the block's middle +- (UX half width + |UY| half height); likewise v.
+    The Gaussian stays under the cut where the least |u| and the least |v| already give u^2 + v^2 > reach.
+    """
+    count = len(lanes)
+    ux, uy = at(records, record + UX), at(records, record + UY)
+    vy, log_opacity = at(records, record + VY), at(records, record + LOG_OPACITY)
+    x, y = at(records, record + CENTER_X) - np.float32(left), at(records, record + CENTER_Y) - np.float32(top)
+    half_width = np.float32(0.5 * (BLOCK_WIDTH - 1))
+    half_height = np.float32(0.5) * np.float32(count // BLOCK_WIDTH - 1)
+    span_u, span_v = ux * half_width + abs(uy) * half_height, vy * half_height
+    reach = log_opacity - at(constants, 7 * count) + _SLACK
+    middles = (NUMBERS + 2) * count
+    found = 0
+    for block in range(0, TILE_PIXELS // count, count):
+        dx = load(constants, middles + block, lanes) - x
+        dy = load(constants, middles + TILE_PIXELS // count + block, lanes) - y
+        u = maximum(magnitude(fma(dx, ux, dy * uy)) - span_u, ZERO)
+        v = maximum(magnitude(dy * vy) - span_v, ZERO)
+        found |= bits(fma(u, u, v * v) <= reach) << block
+    return found
+
+
+@njit(forceinline=True)
+def _add(pixels, records, record, alpha, number, channels):
+    """Put a Gaussian behind what a block of one picture has so far; returns which lanes are still open."""
+    weight, after, still_open = pass_through(get(pixels, 0), alpha, number)
+    put(pixels, 0, after)
+    for channel in range(length(channels) + 1):
+        put(pixels, 1 + channel, fma(weight, at(records, record + DEPTH + channel), get(pixels, 1 + channel)))
+    return still_open
+
+
+@njit(forceinline=True)
+def _add_layered(
+    pixels, state, live, bit, set_size, block_place, records, record, alpha, keep, number, lanes, channels
+):  # fmt: skip
+    """The same for the composite and for the Gaussian's own layer: (changed a pixel, any picture is open here)."""
+    touched = 0
+    if live[0] & bit != 0:
+        still_open = _add(pixels, records, record, alpha, number, channels)
+        touched |= bits(still_open & keep)
+        if bits(still_open) == 0:
+            live[0] &= ~bit
+    own = 1 + np.int64(at(records, record + LAYER))
+    if live[own] & bit != 0:
+        alone = bank_at(state, own * set_size + block_place, lanes)
+        still_open = _add(alone, records, record, alpha, number, channels)
+        touched |= bits(still_open & keep)
+        if bits(still_open) == 0:
+            live[own] &= ~bit
+    anything = np.int64(0)
+    for picture in range(len(live)):
+        anything |= live[picture] & bit
+    return touched != 0, anything != 0
+
+
 @njit(nogil=True, cache=True, error_model="numpy")
 def blend(
-    turn, starts, gaussians, blocks, records, stride, background, features, alpha, depth,
-    width, height, layers, ramps, lanes, channels,
+    turn, starts, gaussians, records, stride, background, features, alpha, depth, blocks, width, height, layers,
+    constants, lanes, channels, planes,
 ):  # fmt: skip
     """Blend the tiles this thread gets.
 
-    starts (tiles + 1,), gaussians (E,) rows of records, blocks (E,) bits: the tile lists, nearest first. `blocks`
-    is narrowed to the blocks where an entry changed a pixel, which is all that the backward pass visits.
-    layers: None, or how many are rendered alone beside the composite.
+    starts (tiles + 1,), gaussians (E,) rows of records: the tile lists, nearest first. blocks (E,) uint32: gets
+    the blocks in which an entry changed a pixel, one bit each, which is all that the backward pass visits.
+    layers: None, or how many are rendered alone beside the composite. planes: 2 + channels, as a size.
     """
     count = len(lanes)
-    block_height = count // BLOCK_WIDTH
     columns = (width + TILE - 1) // TILE
     tiles = len(starts) - 1
     sets = 1 if layers is None else 1 + layers
-    set_size = (2 + length(channels)) * TILE_PIXELS
+    depth_and_colors = length(planes)
+    set_size = depth_and_colors * TILE_PIXELS
     state = np.empty(sets * set_size, np.float32)
     live = np.empty(sets, np.int64)
-    lane_x, lane_y = load(ramps, 0, lanes), load(ramps, count, lanes)
+    reached = np.empty(_STRETCH, np.int32)
+    pixels = bank(planes, np.empty(depth_and_colors * count, np.float32), lanes)
+    number = numbers(constants, lanes)
+    lane_x, lane_y = load(constants, NUMBERS * count, lanes), load(constants, (NUMBERS + 1) * count, lanes)
     while True:
         tile = take(turn)
         if tile >= tiles:
@@ -160,72 +199,81 @@ def blend(
         if first == last:
             _empty_tile(sets, top, left, width, height, background, features, alpha, depth)
             continue
-        _start_tile(state, live, sets, set_size, top, left, width, height, block_height)
-        stopped = False
-        for entry in range(first, last):
-            if entry + AHEAD < last:
-                prefetch(records, at(gaussians, entry + AHEAD) * stride)
-            todo = np.int64(at(blocks, entry))
-            record = at(gaussians, entry) * stride
-            own = 0
-            if layers is None:
-                todo &= live[0]
-            else:
-                own = 1 + np.int64(at(records, record + LAYER))
-                todo &= live[0] | live[own]
-            touched = 0
-            if todo != 0:
-                x, y = at(records, record + CENTER_X) - left, at(records, record + CENTER_Y) - top
-                ux, uy = at(records, record + UX), at(records, record + UY)
-                vy, log_opacity = at(records, record + VY), at(records, record + LOG_OPACITY)
-                dead = False
-                while todo != 0:
-                    block = lowest_bit(todo)
-                    todo &= todo - 1
-                    dx = lane_x + (np.float32((block % BLOCKS_ACROSS) * BLOCK_WIDTH) - x)
-                    dy = lane_y + (np.float32((block // BLOCKS_ACROSS) * block_height) - y)
-                    power = exponent(fma(spread(ux, lanes), dx, dy * uy), dy * vy, spread(log_opacity, lanes))
-                    keep = power >= CUT
-                    opaque = where(keep, minimum(exp2_small(power), ALPHA_TOP), ZERO)
-                    place = block * count
-                    open_lanes = _add(state, place, record, records, opaque, lanes, channels)
-                    taken = bits(open_lanes & keep)
-                    if bits(open_lanes) == 0:
-                        live[0] &= ~(1 << block)
-                        dead = True
-                    if layers is not None:
-                        open_lanes = _add(
-                            state, own * set_size + place, record, records, opaque, lanes, channels
-                        )
-                        taken |= bits(open_lanes & keep)
-                        if bits(open_lanes) == 0:
-                            live[own] &= ~(1 << block)
-                            dead = True
-                    if taken != 0:
-                        touched |= 1 << block
-                if dead:
-                    stopped = True
-                    for picture in range(sets):
-                        if live[picture] != 0:
-                            stopped = False
-            blocks[entry] = touched
-            if stopped:
-                for rest in range(entry + 1, last):
-                    blocks[rest] = 0
+        _start_tile(state, live, sets, depth_and_colors, count, top, left, width, height)
+        for begin in range(first, last, _STRETCH):
+            end = min(begin + _STRETCH, last)
+            anything = live[0]
+            if layers is not None:
+                for picture in range(1, sets):
+                    anything |= live[picture]
+            if anything == 0:
+                for entry in range(begin, last):
+                    blocks[entry] = 0
                 break
+            union = 0
+            for entry in range(begin, end):
+                if entry + AHEAD < last:
+                    prefetch(records, at(gaussians, entry + AHEAD) * stride)
+                set_at(blocks, entry, np.uint32(0))
+                record = at(gaussians, entry) * stride
+                todo = live[0]
+                if layers is not None:
+                    todo |= live[1 + np.int64(at(records, record + LAYER))]
+                todo &= _reached_blocks(records, record, constants, top, left, lanes)
+                union |= todo
+                set_at(reached, entry - begin, np.int32(todo))
+            for rest in range(end - begin, (end - begin + 63) & ~63):
+                reached[rest] = 0
+            while union != 0:
+                block = lowest_bit(union)
+                union &= union - 1
+                bit = 1 << block
+                corner_x, corner_y = block_corner(block, count, top, left)
+                pixel_x, pixel_y = lane_x + np.float32(corner_x), lane_y + np.float32(corner_y)
+                kept = bank_at(state, block * depth_and_colors * count, lanes)
+                for plane in range(length(planes)):
+                    put(pixels, plane, get(kept, plane))
+                any_open = True
+                for word in range(begin, end, 64):
+                    todo = 0
+                    for part in range(0, 64, count):
+                        todo |= bit_column(reached, word - begin + part, bit, lanes) << part
+                    while todo != 0 and any_open:
+                        entry = word + lowest_bit(todo)
+                        todo &= todo - 1
+                        record = at(gaussians, entry) * stride
+                        _, _, _, _, opaque, keep = falloff(pixel_x, pixel_y, records, record, number, lanes)
+                        if layers is None:
+                            still_open = _add(pixels, records, record, opaque, number, channels)
+                            touched = bits(still_open & keep) != 0
+                            any_open = bits(still_open) != 0
+                        else:
+                            touched, any_open = _add_layered(
+                                pixels, state, live, bit, set_size, block * depth_and_colors * count, records,
+                                record, opaque, keep, number, lanes, channels,
+                            )  # fmt: skip
+                        # Without a branch: it would be mispredicted every fourth time.
+                        set_at(blocks, entry, at(blocks, entry) | (np.uint32(touched) << np.uint32(block)))
+                if layers is None and not any_open:
+                    live[0] &= ~bit
+                for plane in range(length(planes)):
+                    put(kept, plane, get(pixels, plane))
         _finish_tile(
-            state, sets, set_size, top, left, width, height, block_height, background, features, alpha, depth
+            state, sets, depth_and_colors, count, top, left, width, height, background, features, alpha, depth
         )
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def median_depths(turn, starts, gaussians, blocks, records, stride, depth, width, height, layers):
+def median_depths(
+    turn, starts, gaussians, blocks, records, stride, depth, width, height, layers, constants, count
+):
     """Camera depth at which each pixel's transmittance first falls to one half; 0 where it never does.
 
     A plain loop over pixels: nobody differentiates it, and it is made only when asked for. Runs after `blend`.
     """
     columns = (width + TILE - 1) // TILE
     sets = 1 if layers is None else 1 + layers
+    cut = constants[7 * count]
     while True:
         tile = take(turn)
         if tile >= len(starts) - 1:
@@ -242,14 +290,11 @@ def median_depths(turn, starts, gaussians, blocks, records, stride, depth, width
                         dx = np.float32(column + 0.5) - records[r + CENTER_X]
                         dy = np.float32(row + 0.5) - records[r + CENTER_Y]
                         u, v = records[r + UX] * dx + records[r + UY] * dy, records[r + VY] * dy
-                        power = records[r + LOG_OPACITY] - u * u - v * v
-                        if power < CUT:
+                        exponent = records[r + LOG_OPACITY] - u * u - v * v
+                        if exponent < cut:
                             continue
-                        before *= ONE - min(np.float32(2.0**power), ALPHA_TOP)
+                        before *= ONE - min(np.float32(2.0**exponent), np.float32(ALPHA_MAX))
                         if before <= np.float32(0.5):
                             found = records[r + DEPTH]
                             break
                     depth[(picture * height + row) * width + column] = found
-
-
-__all__ = ["COLOR", "blend", "median_depths"]

@@ -15,19 +15,19 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from stages.shared.splat.kernels.blend import AHEAD, ALPHA_TOP, CUT, ONE, STOP, ZERO, exponent, pixel_place
+from stages.shared.splat.kernels.blend import AHEAD, ONE, ZERO
+from stages.shared.splat.kernels.falloff import block_corner, falloff, numbers, pass_through, pixel_place
 from stages.shared.splat.kernels.lanes import (
     at,
     bank,
-    exp2_small,
+    bank_at,
     fma,
     get,
     lane_sums,
     length,
     load,
     lowest_bit,
-    magnitude,
-    minimum,
+    negative,
     prefetch,
     put,
     spread,
@@ -36,13 +36,9 @@ from stages.shared.splat.kernels.lanes import (
     where,
 )
 from stages.shared.splat.kernels.layout import (
-    BLOCK_WIDTH,
-    BLOCKS_ACROSS,
-    CENTER_X,
-    CENTER_Y,
     DEPTH,
     LAYER,
-    LOG_OPACITY,
+    NUMBERS,
     SUM_DEPTH,
     SUM_H,
     SUM_HU,
@@ -52,86 +48,80 @@ from stages.shared.splat.kernels.layout import (
     SUM_HYY,
     TILE,
     TILE_PIXELS,
-    UX,
-    UY,
-    VY,
 )
 
 # mypy: disable-error-code="no-untyped-def"
 
-# Planes of a picture's state: transmittance, rest, gradient of alpha, of depth, of colours.
+# Planes of a block: transmittance, rest, gradient of alpha, of depth, of colours.
 _REST, _G_ALPHA, _G_DEPTH = 1, 2, 3
 _PLANES = 4
 
 
 @njit(forceinline=True)
 def _start_tile(
-    state, sets, set_size, top, left, width, height, block_height, background, features, alpha, depth, g_features,
-    g_alpha, g_depth,
+    state, sets, planes, count, top, left, width, height, background, features, alpha, depth, g_features, g_alpha,
+    g_depth,
 ):  # fmt: skip
     channels = len(background)
     for picture in range(sets):
-        base = picture * set_size
-        for place in range(TILE_PIXELS):
-            state[base + place] = -ONE
-        for place in range(TILE_PIXELS, set_size):
-            state[base + place] = ZERO
-        for row in range(top, min(top + TILE, height)):
-            for column in range(left, min(left + TILE, width)):
-                place = base + pixel_place(row - top, column - left, block_height)
+        base = picture * planes * TILE_PIXELS
+        for row in range(top, top + TILE):
+            for column in range(left, left + TILE):
+                place = base + pixel_place(row - top, column - left, count, planes)
+                if row >= height or column >= width:
+                    state[place] = -ONE
+                    for plane in range(1, planes):
+                        state[place + plane * count] = ZERO
+                    continue
                 pixel = (picture * height + row) * width + column
                 behind, whole = ZERO, ZERO
                 for c in range(channels):
                     g = g_features[pixel * channels + c]
                     behind += g * background[c]
                     whole += g * features[pixel * channels + c]
-                    state[place + (_PLANES + c) * TILE_PIXELS] = g
-                of_alpha = g_alpha[pixel] - behind
-                # `features` has the background in it: take it out with what it contributed.
-                rest = whole - behind + alpha[pixel] * (of_alpha + behind) + depth[pixel] * g_depth[pixel]
+                    state[place + (_PLANES + c) * count] = g
+                of_depth = g_depth[pixel]
+                # `features` has the background in it, seen through 1 - alpha: take that out.
+                rest = whole - behind + alpha[pixel] * g_alpha[pixel] + depth[pixel] * of_depth
                 state[place] = ONE
-                state[place + _REST * TILE_PIXELS] = rest
-                state[place + _G_ALPHA * TILE_PIXELS] = of_alpha
-                state[place + _G_DEPTH * TILE_PIXELS] = g_depth[pixel]
+                state[place + _REST * count] = rest
+                state[place + _G_ALPHA * count] = g_alpha[pixel] - behind
+                state[place + _G_DEPTH * count] = of_depth
 
 
 @njit(forceinline=True)
-def _pull(state, plane, record, records, opaque, inverse, grads, lanes, channels):
+def _pull(pixels, records, record, opaque, inverse, number, grads, channels):
     """One picture's part of d(loss)/d(alpha) of a block; adds depth and colour gradients to the bank."""
-    before = load(state, plane, lanes)
-    after = fma(ZERO - opaque, before, before)
-    open_lanes = after > STOP
-    weight = where(open_lanes, before * opaque, ZERO)
-    store(state, plane, where(open_lanes, after, ZERO - magnitude(before)))
-    value = load(state, plane + _G_ALPHA * TILE_PIXELS, lanes)
+    before = get(pixels, 0)
+    weight, after, still_open = pass_through(before, opaque, number)
+    put(pixels, 0, after)
+    value = get(pixels, _G_ALPHA)
     for channel in range(length(channels) + 1):
-        incoming = load(state, plane + (_G_DEPTH + channel) * TILE_PIXELS, lanes)
+        incoming = get(pixels, _G_DEPTH + channel)
         value = fma(incoming, at(records, record + DEPTH + channel), value)
         put(grads, SUM_DEPTH + channel, fma(weight, incoming, get(grads, SUM_DEPTH + channel)))
-    rest = fma(ZERO - weight, value, load(state, plane + _REST * TILE_PIXELS, lanes))
-    store(state, plane + _REST * TILE_PIXELS, rest)
-    return where(open_lanes, before * value - rest * inverse, ZERO)
+    rest = fma(negative(weight), value, get(pixels, _REST))
+    put(pixels, _REST, rest)
+    return where(still_open, fma(before, value, negative(rest * inverse)), ZERO)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def blend_backward(
-    turn, starts, gaussians, blocks, records, stride, background, features, alpha, depth,
-    g_features, g_alpha, g_depth, sums, width, height, layers, ramps, lanes, channels, slot,
+    turn, starts, gaussians, records, stride, background, features, alpha, depth, blocks, g_features, g_alpha,
+    g_depth, sums, width, height, layers, constants, lanes, channels, slot,
 ):  # fmt: skip
-    """Gradients of the tiles this thread gets: sums (E * slot length,), entry by entry (see `layout`).
-
-    Slots of entries whose `blocks` are empty stay unwritten.
-    """
+    """Gradients of the tiles this thread gets: sums (E * slot length,), entry by entry (see `layout`)."""
     count = len(lanes)
-    block_height = count // BLOCK_WIDTH
     columns = (width + TILE - 1) // TILE
     tiles = len(starts) - 1
     sets = 1 if layers is None else 1 + layers
-    set_size = (_PLANES + length(channels)) * TILE_PIXELS
+    planes = _PLANES + length(channels)
+    set_size = planes * TILE_PIXELS
     state = np.empty(sets * set_size, np.float32)
-    scratch = np.empty(length(slot) * count, np.float32)
-    grads = bank(slot, scratch, lanes)
-    lane_x, lane_y = load(ramps, 0, lanes), load(ramps, count, lanes)
+    places = np.empty(2 * TILE_PIXELS, np.float32)
+    grads = bank(slot, np.empty(length(slot) * count, np.float32), lanes)
+    number = numbers(constants, lanes)
+    lane_x, lane_y = load(constants, NUMBERS * count, lanes), load(constants, (NUMBERS + 1) * count, lanes)
     zero = spread(ZERO, lanes)
     while True:
         tile = take(turn)
@@ -142,19 +132,22 @@ def blend_backward(
             continue
         top, left = (tile // columns) * TILE, (tile % columns) * TILE
         _start_tile(
-            state, sets, set_size, top, left, width, height, block_height, background, features, alpha, depth,
-            g_features, g_alpha, g_depth,
+            state, sets, planes, count, top, left, width, height, background, features, alpha, depth, g_features,
+            g_alpha, g_depth,
         )  # fmt: skip
+        for block in range(TILE_PIXELS // count):
+            x, y = block_corner(block, count, top, left)
+            store(places, 2 * block * count, lane_x + np.float32(x))
+            store(places, (2 * block + 1) * count, lane_y + np.float32(y))
         for entry in range(first, last):
             if entry + AHEAD < last:
                 prefetch(records, at(gaussians, entry + AHEAD) * stride)
             todo = np.int64(at(blocks, entry))
             if todo == 0:
+                for k in range(0, length(slot), count):
+                    store(sums, entry * length(slot) + k, zero)
                 continue
             record = at(gaussians, entry) * stride
-            x, y = at(records, record + CENTER_X) - left, at(records, record + CENTER_Y) - top
-            ux, uy = at(records, record + UX), at(records, record + UY)
-            vy, log_opacity = at(records, record + VY), at(records, record + LOG_OPACITY)
             own = 0
             if layers is not None:
                 own = (1 + np.int64(at(records, record + LAYER))) * set_size
@@ -163,23 +156,20 @@ def blend_backward(
             while todo != 0:
                 block = lowest_bit(todo)
                 todo &= todo - 1
-                dx = lane_x + (np.float32((block % BLOCKS_ACROSS) * BLOCK_WIDTH) - x)
-                dy = lane_y + (np.float32((block // BLOCKS_ACROSS) * block_height) - y)
-                u = fma(spread(ux, lanes), dx, dy * uy)
-                power = exponent(u, dy * vy, spread(log_opacity, lanes))
-                keep = power >= CUT
-                raw = exp2_small(power)
-                opaque = where(keep, minimum(raw, ALPHA_TOP), ZERO)
+                pixel_x = load(places, 2 * block * count, lanes)
+                pixel_y = load(places, (2 * block + 1) * count, lanes)
+                dx, dy, u, power, opaque, _ = falloff(pixel_x, pixel_y, records, record, number, lanes)
                 inverse = ONE / (ONE - opaque)
-                place = block * count
-                g_opaque = _pull(state, place, record, records, opaque, inverse, grads, lanes, channels)
+                pixels = bank_at(state, block * planes * count, lanes)
+                g_opaque = _pull(pixels, records, record, opaque, inverse, number, grads, channels)
                 if layers is not None:
+                    pixels = bank_at(state, own + block * planes * count, lanes)
                     g_opaque = g_opaque + _pull(
-                        state, own + place, record, records, opaque, inverse, grads, lanes, channels
+                        pixels, records, record, opaque, inverse, number, grads, channels
                     )
-                h = where(raw < ALPHA_TOP, g_opaque * opaque, ZERO)
-                put(grads, SUM_H, get(grads, SUM_H) + h)
+                h = where(power < number[8], g_opaque * opaque, ZERO)
                 hu, hy = h * u, h * dy
+                put(grads, SUM_H, get(grads, SUM_H) + h)
                 put(grads, SUM_HU, get(grads, SUM_HU) + hu)
                 put(grads, SUM_HUX, fma(hu, dx, get(grads, SUM_HUX)))
                 put(grads, SUM_HUY, fma(hu, dy, get(grads, SUM_HUY)))

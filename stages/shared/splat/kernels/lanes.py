@@ -14,7 +14,6 @@ from __future__ import annotations
 import operator
 from typing import Any
 
-import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
@@ -196,11 +195,39 @@ def _elementwise(name: str, arguments: int) -> Any:
 
 fma = _elementwise("fmuladd", 3)
 """a * b + c, in one rounding where the host can."""
-minimum = _elementwise("minnum", 2)
-maximum = _elementwise("maxnum", 2)
 root = _elementwise("sqrt", 1)
 magnitude = _elementwise("fabs", 1)
 floor = _elementwise("floor", 1)
+
+
+def _extreme(test: str) -> Any:
+    """The smaller or larger of two; the second where one is not a number (what vector units do in one step)."""
+
+    def typed(typingctx: Any, a: Any, b: Any) -> Any:
+        kind = _common((a, b))
+
+        def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+            kind = sig.return_type
+            left, right = (_spread(context, builder, x, t, kind) for x, t in zip(args, sig.args, strict=True))
+            return builder.select(builder.fcmp_ordered(test, left, right), left, right)
+
+        return (kind(a, b), lower) if kind else None
+
+    return intrinsic(typed)
+
+
+minimum = _extreme("<")
+maximum = _extreme(">")
+
+
+@intrinsic
+def negative(typingctx: Any, a: Any) -> Any:
+    """-a, which the compiler folds into a fused multiply-add where it can."""
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return builder.fneg(args[0])
+
+    return a(a), lower
 
 
 @intrinsic
@@ -247,32 +274,16 @@ def total(typingctx: Any, a: Any) -> Any:
 
 
 @intrinsic
-def exp2_small(typingctx: Any, a: Any) -> Any:
-    """2^a of float lanes for -100 < a < 100, relative error under 2.1e-7; garbage outside.
-
-    a = n + f with n the nearest integer; 2^f is a polynomial of degree 5 (minimax on [-1/2, 1/2]) and n goes
-    straight into the exponent bits. Adding 1.5 * 2^23 rounds to an integer that can be read off the low bits.
-    """
+def scale_by_low_bits(typingctx: Any, a: Any, n: Any) -> Any:
+    """a times 2^k, k the integer that the low bits of the float n hold: added to the exponent bits of a."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        kind = sig.return_type
-        integers = ir.VectorType(_I32, kind.count)
+        integers = ir.VectorType(_I32, sig.return_type.count)
+        low = builder.shl(builder.bitcast(args[1], integers), ir.Constant(integers, [23] * integers.count))
+        scaled = builder.add(builder.bitcast(args[0], integers), low)
+        return builder.bitcast(scaled, sig.return_type.ir_type)
 
-        def constant(value: float) -> Any:
-            return ir.Constant(kind.ir_type, [float(np.float32(value))] * kind.count)
-
-        shifted = builder.fadd(args[0], constant(12582912.0))
-        fraction = builder.fsub(args[0], builder.fsub(shifted, constant(12582912.0)))
-        power = constant(_EXP2[-1])
-        for coefficient in _EXP2[-2::-1]:
-            power = _call(builder, "fmuladd", kind, [power, fraction, constant(coefficient)])
-        exponent = builder.shl(builder.bitcast(shifted, integers), ir.Constant(integers, [23] * kind.count))
-        return builder.bitcast(builder.add(builder.bitcast(power, integers), exponent), kind.ir_type)
-
-    return a(a), lower
-
-
-_EXP2 = (1.0000001, 0.69314694, 0.2402212, 0.055507135, 0.009675542, 0.0013276464)
+    return a(a, n), lower
 
 
 @intrinsic
@@ -314,6 +325,35 @@ def load(typingctx: Any, array: Any, index: Any, lanes: Any) -> Any:
         return builder.load(place, align=_BYTES[kind.element], typ=kind.ir_type)
 
     return kind(array, types.intp, lanes), lower
+
+
+@intrinsic
+def bit_column(typingctx: Any, array: Any, index: Any, bit: Any, lanes: Any) -> Any:
+    """Which of the consecutive int32 from array[index] on have a bit of `bit` set: an integer, the first in bit 0."""
+    count = len(lanes)
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        integers = ir.VectorType(_I32, count)
+        place = _element_pointer(context, builder, sig.args[0], args[0], args[1])
+        words = builder.load(builder.bitcast(place, integers.as_pointer()), align=4, typ=integers)
+        number = builder.trunc(args[2], _I32)
+        first = builder.insert_element(ir.Constant(integers, ir.Undefined), number, ir.Constant(_I32, 0))
+        wanted = builder.shuffle_vector(first, first, ir.Constant(integers, [0] * count))
+        hit = builder.icmp_unsigned("!=", builder.and_(words, wanted), ir.Constant(integers, [0] * count))
+        return builder.zext(builder.bitcast(hit, ir.IntType(count)), _I64)
+
+    return types.int64(array, types.intp, types.int64, lanes), lower
+
+
+@intrinsic
+def set_at(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
+    """array[index] = value of a flat contiguous array, index known to be inside."""
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        builder.store(args[2], _element_pointer(context, builder, sig.args[0], args[0], args[1]))
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, array.dtype), lower
 
 
 @intrinsic
@@ -403,6 +443,18 @@ def bank(typingctx: Any, size: Any, scratch: Any, lanes: Any) -> Any:
         return builder.bitcast(start, kind.lanes.ir_type.as_pointer())
 
     return kind(size, scratch, lanes), lower
+
+
+@intrinsic
+def bank_at(typingctx: Any, array: Any, index: Any, lanes: Any) -> Any:
+    """The numbers of a flat contiguous array from `index` on, as a bank."""
+    kind = Bank(Lanes(array.dtype, len(lanes)))
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        start = _element_pointer(context, builder, sig.args[0], args[0], args[1])
+        return builder.bitcast(start, kind.lanes.ir_type.as_pointer())
+
+    return kind(array, types.intp, lanes), lower
 
 
 @intrinsic

@@ -8,9 +8,12 @@ A list entry (tile, Gaussian) carries one bit per block of the tile, so that emp
 from __future__ import annotations
 
 import functools
+import math
 
 import llvmlite.binding
 import numpy as np
+
+from stages.shared.splat.settings import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 
 TILE = 16
 TILE_SHIFT = 4
@@ -63,7 +66,32 @@ def slot_length(channels: int, lanes: int) -> int:
     return -(-(SUM_COLOR + channels) // lanes) * lanes
 
 
-def ramps(lanes: int) -> np.ndarray:
-    """Pixel centre of every lane relative to its block: (2 * lanes,) float32, all x then all y."""
-    lane = np.arange(lanes)
-    return np.concatenate([lane % BLOCK_WIDTH + 0.5, lane // BLOCK_WIDTH + 0.5]).astype(np.float32)
+# The constants of the blending kernels come in an array: numbers in registers instead of in the code.
+# Powers of two: rounding shift, coefficients of 2^f (minimax of degree 5 on [-1/2, 1/2], relative error with
+# rounding 2.1e-7); then the cut-off, in log2, the largest alpha, the smallest transmittance.
+_NUMBERS = (
+    12582912.0,  # 1.5 * 2^23: adding it rounds to an integer, which the low bits then hold
+    1.0000001, 0.69314694, 0.2402212, 0.055507135, 0.009675542, 0.0013276464,
+    math.log2(ALPHA_MIN), ALPHA_MAX, TRANSMITTANCE_MIN,
+)  # fmt: skip
+
+
+@functools.cache
+def constants(lanes: int) -> np.ndarray:
+    """float32: the numbers above, each `lanes` times; x, then y, of the lanes' pixel centres in a block (px).
+
+    Then x, then y, of the middles of the tile's blocks.
+    """
+    lane, block = np.arange(lanes), np.arange(TILE_PIXELS // lanes)
+    block_height = lanes // BLOCK_WIDTH
+    rows = (
+        np.repeat(_NUMBERS, lanes),
+        lane % BLOCK_WIDTH + 0.5,
+        lane // BLOCK_WIDTH + 0.5,
+        (block % BLOCKS_ACROSS + 0.5) * BLOCK_WIDTH,
+        (block // BLOCKS_ACROSS + 0.5) * block_height,
+    )
+    return np.concatenate(rows).astype(np.float32)
+
+
+NUMBERS = len(_NUMBERS)

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 
 from stages.shared.splat.kernels.lanes import at, prefetch, take
-from stages.shared.splat.kernels.layout import BLOCK_WIDTH_SHIFT, BLOCKS_ACROSS, TILE_SHIFT
+from stages.shared.splat.kernels.layout import TILE_SHIFT
 
 # mypy: disable-error-code="no-untyped-def"
 
@@ -21,9 +21,10 @@ _AHEAD = 16
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def depth_order(keys, counts, first_slots):
-    """Rows with counts > 0 in order of `keys` (float32 depths > 0 read as uint32), ties by row.
+    """(rows with counts > 0 in order of `keys`, ties by row; total of counts, -1 if one is negative).
 
-    Also fills first_slots (N + 1,) with the running total of counts: where each row's slots begin.
+    keys: float32 depths > 0 read as uint32. Also fills first_slots (N + 1,) with the running total of counts:
+    where each row's slots begin.
     """
     n = len(keys)
     histogram = np.zeros((3, _BUCKETS), np.int64)
@@ -31,6 +32,8 @@ def depth_order(keys, counts, first_slots):
     visible, total = 0, 0
     for i in range(n):
         first_slots[i] = total
+        if counts[i] < 0:
+            return rows_a[:0], -1
         if counts[i] > 0:
             total += counts[i]
             key = keys[i]
@@ -56,7 +59,7 @@ def depth_order(keys, counts, first_slots):
             histogram[digit, bucket] = place + 1
             keys_b[place], rows_b[place] = keys_a[i], rows_a[i]
         keys_a, keys_b, rows_a, rows_b = keys_b, keys_a, rows_b, rows_a
-    return rows_a[:visible]
+    return rows_a[:visible], total
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -90,13 +93,9 @@ def place_tiles(tallies, starts):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def fill_tiles(
-    turn, order, boxes, first_slots, columns, block_height_shift, tallies, gaussians, blocks, slots
-):
-    """Write the tile lists: row and block bits of every entry; and for every row where its entries went."""
+def fill_tiles(turn, order, boxes, first_slots, columns, tallies, gaussians, slots):
+    """Write the tile lists: the row of every entry, and for every row where its entries went."""
     chunks = len(tallies)
-    blocks_down_shift = TILE_SHIFT - block_height_shift
-    column_mask, row_mask = BLOCKS_ACROSS - 1, (1 << blocks_down_shift) - 1
     while True:
         chunk = take(turn)
         if chunk >= chunks:
@@ -104,32 +103,18 @@ def fill_tiles(
         stop = (chunk + 1) * len(order) // chunks
         for rank in range(chunk * len(order) // chunks, stop):
             if rank + _AHEAD < stop:
-                prefetch(boxes, 4 * np.int64(at(order, rank + _AHEAD)))
-                prefetch(first_slots, np.int64(at(order, rank + _AHEAD)))
+                ahead = np.int64(at(order, rank + _AHEAD))
+                prefetch(boxes, 4 * ahead)
+                prefetch(first_slots, ahead)
             row_index = np.int64(at(order, rank))
             box, slot = 4 * row_index, np.int64(at(first_slots, row_index))
-            left = np.int64(at(boxes, box)) >> BLOCK_WIDTH_SHIFT
-            top = np.int64(at(boxes, box + 1)) >> block_height_shift
-            right = np.int64(at(boxes, box + 2)) >> BLOCK_WIDTH_SHIFT
-            bottom = np.int64(at(boxes, box + 3)) >> block_height_shift
-            for row in range(top >> blocks_down_shift, (bottom >> blocks_down_shift) + 1):
-                first = max(top - (row << blocks_down_shift), 0)
-                last = min(bottom - (row << blocks_down_shift), row_mask)
-                # One bit in the first column of every block row covered, ...
-                down = (_every_row(last + 1) >> (BLOCKS_ACROSS * first)) << (BLOCKS_ACROSS * first)
-                for column in range(left >> 2, (right >> 2) + 1):
-                    begin, end = max(left - (column << 2), 0), min(right - (column << 2), column_mask)
-                    # ... times the columns covered: one bit per block of the rectangle.
-                    across = ((1 << (end - begin + 1)) - 1) << begin
+            left, top = at(boxes, box) >> TILE_SHIFT, at(boxes, box + 1) >> TILE_SHIFT
+            right, bottom = at(boxes, box + 2) >> TILE_SHIFT, at(boxes, box + 3) >> TILE_SHIFT
+            for row in range(top, bottom + 1):
+                for column in range(left, right + 1):
                     tile = row * columns + column
                     place = tallies[chunk, tile]
                     tallies[chunk, tile] = place + 1
-                    gaussians[place], blocks[place] = row_index, down * across
+                    gaussians[place] = row_index
                     slots[slot] = place
                     slot += 1
-
-
-@njit(forceinline=True)
-def _every_row(rows):
-    """Bit 0 of each of the first `rows` block rows (eight at most, of four bits each)."""
-    return 0x11111111 & ((1 << (BLOCKS_ACROSS * rows)) - 1)

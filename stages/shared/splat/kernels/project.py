@@ -14,13 +14,22 @@ import numpy as np
 from numba import njit
 
 from stages.shared.splat.kernels.lanes import (
+    at,
+    bank,
     floor,
     fma,
+    get,
+    length,
     load,
+    magnitude,
     maximum,
     minimum,
+    prefetch,
+    put,
     root,
+    set_at,
     split_exponent,
+    spread,
     store,
     take,
     total,
@@ -48,7 +57,7 @@ from stages.shared.splat.kernels.layout import (
     UY,
     VY,
 )
-from stages.shared.splat.settings import ALPHA_MIN
+from stages.shared.splat.settings import ALPHA_MIN, SHORTEST_QUATERNION
 
 # mypy: disable-error-code="no-untyped-def"
 
@@ -60,20 +69,25 @@ CAMERA_LENGTH = 24
 CAMERA_GRADIENTS = 16
 """Gradients of R, t and fx fy cx cy come back in this order."""
 
+REFUSED = np.int32(-1)
+"""In `counts`: the Gaussian's numbers cannot be rendered."""
+
 WIDE = 8
 _LANES = (0,) * WIDE
 HALF_LOG2E = 0.5 * math.log2(math.e)
 _LOG2_CUT = math.log2(ALPHA_MIN)
+_AHEAD = 24
+"""Slots between asking for one and using it."""
 _MARGIN = 1e-3
 """px added to every side of the box, for the rounding of records to float32."""
 
 # Rows of the table. Input, then (forward) output.
 _MEAN, _SHAPE, _OPACITY = 0, 3, 10
 _OUT = 11
-_O_X, _O_Y, _O_UX, _O_UY, _O_VY, _O_LOG, _O_DEPTH, _O_LEFT, _O_TOP, _O_RIGHT, _O_BOTTOM = range(
-    _OUT, _OUT + 11
-)
-_FORWARD_ROWS = _OUT + 11
+_RECORD = COLOR
+"""A record's fields come first and in its order; its layer is filled in later."""
+_O_LEFT, _O_TOP, _O_RIGHT, _O_BOTTOM = range(_OUT + _RECORD, _OUT + _RECORD + 4)
+_FORWARD_ROWS = _OUT + _RECORD + 4
 # Backward: sums of the slots, then the gradients.
 _SUMS = 11
 _G_MEAN = _SUMS + SUM_COLOR
@@ -83,13 +97,13 @@ _BACKWARD_ROWS = _G_OPACITY + 1
 
 
 @njit(forceinline=True)
-def _row(table, row, at):
-    return load(table, row * GROUP + at, _LANES)
+def _row(table, row, place):
+    return load(table, row * GROUP + place, _LANES)
 
 
 @njit(forceinline=True)
-def _set(table, row, at, value):
-    store(table, row * GROUP + at, value)
+def _set(table, row, place, value):
+    store(table, row * GROUP + place, value)
 
 
 @njit(forceinline=True)
@@ -113,37 +127,31 @@ def _gather(table, group, count, means, quats, scales, covars, opacities):
     for j in range(GROUP):
         g = group + min(j, count - 1)
         for k in range(3):
-            table[(_MEAN + k) * GROUP + j] = means[g, k]
+            set_at(table, (_MEAN + k) * GROUP + j, np.float64(at(means, 3 * g + k)))
         # Two tests, not one with an else: what is None is then left out when compiling.
         if quats is not None:
             for k in range(4):
-                table[(_SHAPE + k) * GROUP + j] = quats[g, k]
+                set_at(table, (_SHAPE + k) * GROUP + j, np.float64(at(quats, 4 * g + k)))
             for k in range(3):
-                table[(_SHAPE + 4 + k) * GROUP + j] = scales[g, k]
+                set_at(table, (_SHAPE + 4 + k) * GROUP + j, np.float64(at(scales, 3 * g + k)))
         if covars is not None:
-            table[_SHAPE * GROUP + j] = covars[g, 0, 0]
-            table[(_SHAPE + 1) * GROUP + j] = 0.5 * (
-                np.float64(covars[g, 0, 1]) + np.float64(covars[g, 1, 0])
-            )
-            table[(_SHAPE + 2) * GROUP + j] = 0.5 * (
-                np.float64(covars[g, 0, 2]) + np.float64(covars[g, 2, 0])
-            )
-            table[(_SHAPE + 3) * GROUP + j] = covars[g, 1, 1]
-            table[(_SHAPE + 4) * GROUP + j] = 0.5 * (
-                np.float64(covars[g, 1, 2]) + np.float64(covars[g, 2, 1])
-            )
-            table[(_SHAPE + 5) * GROUP + j] = covars[g, 2, 2]
-        table[_OPACITY * GROUP + j] = opacities[g]
+            place = _SHAPE * GROUP + j
+            for row in range(3):
+                for column in range(row, 3):
+                    upper, lower = at(covars, 9 * g + 3 * row + column), at(covars, 9 * g + 3 * column + row)
+                    set_at(table, place, 0.5 * (np.float64(upper) + np.float64(lower)))
+                    place += GROUP
+        set_at(table, _OPACITY * GROUP + j, np.float64(at(opacities, g)))
 
 
 @njit(forceinline=True)
-def _rotation(table, at):
+def _rotation(table, place):
     """Unit quaternion (w x y z), 1 / length of the given one, and the nine entries of its matrix."""
     w, x, y, z = (
-        _row(table, _SHAPE, at),
-        _row(table, _SHAPE + 1, at),
-        _row(table, _SHAPE + 2, at),
-        _row(table, _SHAPE + 3, at),
+        _row(table, _SHAPE, place),
+        _row(table, _SHAPE + 1, place),
+        _row(table, _SHAPE + 2, place),
+        _row(table, _SHAPE + 3, place),
     )
     inverse = 1.0 / root(w * w + x * x + y * y + z * z)
     w, x, y, z = w * inverse, x * inverse, y * inverse, z * inverse
@@ -156,11 +164,15 @@ def _rotation(table, at):
 
 
 @njit(forceinline=True)
-def _covariance(table, at, covars):
+def _covariance(table, place, covars):
     """Entries xx xy xz yy yz zz of the covariance in the world."""
     if covars is None:
-        _, _, m = _rotation(table, at)
-        a, b, c = _row(table, _SHAPE + 4, at), _row(table, _SHAPE + 5, at), _row(table, _SHAPE + 6, at)
+        _, _, m = _rotation(table, place)
+        a, b, c = (
+            _row(table, _SHAPE + 4, place),
+            _row(table, _SHAPE + 5, place),
+            _row(table, _SHAPE + 6, place),
+        )
         a, b, c = a * a, b * b, c * c
         return (
             a * m[0] * m[0] + b * m[1] * m[1] + c * m[2] * m[2],
@@ -171,15 +183,15 @@ def _covariance(table, at, covars):
             a * m[6] * m[6] + b * m[7] * m[7] + c * m[8] * m[8],
         )
     return (
-        _row(table, _SHAPE, at), _row(table, _SHAPE + 1, at), _row(table, _SHAPE + 2, at),
-        _row(table, _SHAPE + 3, at), _row(table, _SHAPE + 4, at), _row(table, _SHAPE + 5, at),
+        _row(table, _SHAPE, place), _row(table, _SHAPE + 1, place), _row(table, _SHAPE + 2, place),
+        _row(table, _SHAPE + 3, place), _row(table, _SHAPE + 4, place), _row(table, _SHAPE + 5, place),
     )  # fmt: skip
 
 
 @njit(forceinline=True)
-def _to_camera(table, at, camera):
+def _to_camera(table, place, camera):
     """Camera coordinates X Y Z of the means."""
-    x, y, z = _row(table, _MEAN, at), _row(table, _MEAN + 1, at), _row(table, _MEAN + 2, at)
+    x, y, z = _row(table, _MEAN, place), _row(table, _MEAN + 1, place), _row(table, _MEAN + 2, place)
     return (
         x * camera[0] + y * camera[1] + z * camera[2] + camera[9],
         x * camera[3] + y * camera[4] + z * camera[5] + camera[10],
@@ -225,16 +237,37 @@ def _narrow(xx, xy, yy):
     return minimum(maximum(xy, 0.0 - limit), limit), within
 
 
+@njit(forceinline=True)
+def _acceptable(table, place, covars):
+    """False for numbers that `scene.check_gaussians` refuses: it then finds out which and why."""
+    everything = _row(table, _OPACITY, place)
+    for k in range(3):
+        everything = everything + _row(table, _MEAN + k, place)
+    for k in range(7 if covars is None else 6):
+        everything = everything + _row(table, _SHAPE + k, place)
+    opacity = _row(table, _OPACITY, place)
+    # Zero times a sum of float32 is zero, unless one of them is infinite or not a number.
+    fine = (everything * 0.0 >= 0.0) & (opacity >= 0.0) & (opacity <= 1.0)
+    if covars is None:
+        w, x = magnitude(_row(table, _SHAPE, place)), magnitude(_row(table, _SHAPE + 1, place))
+        y, z = magnitude(_row(table, _SHAPE + 2, place)), magnitude(_row(table, _SHAPE + 3, place))
+        return fine & (maximum(maximum(w, x), maximum(y, z)) >= SHORTEST_QUATERNION)
+    xx, yy, zz = _row(table, _SHAPE, place), _row(table, _SHAPE + 3, place), _row(table, _SHAPE + 5, place)
+    return fine & (minimum(minimum(xx, yy), zz) >= 0.0)
+
+
 @njit(nogil=True, cache=True, error_model="numpy")
 def project(
-    turn, means, quats, scales, covars, opacities, colors, layer_ids, camera, width, height,
+    turn, means, quats, scales, covars, opacities, colors, channels, layer_ids, camera, width, height,
     records, stride, boxes, depths, counts,
 ):  # fmt: skip
-    """Gaussians -> records, boxes (4N,) uint16 px inclusive, depths (N,) m, counts (N,) of tiles, 0 if unseen.
+    """Gaussians -> records, boxes (4N,) uint16 px inclusive, depths (N,) m, counts (N,) of tiles, 0 if unseen,
+    REFUSED if it cannot be rendered.
 
-    Either quats (N, 4) and scales (N, 3), or covars (N, 3, 3); the others None. layer_ids (N,) or None.
+    All arrays are flat. Either quats (4N,) and scales (3N,), or covars (9N,); the others None. layer_ids (N,) or
+    None.
     """
-    n, channels = len(means), colors.shape[1]
+    n = len(opacities)
     table = np.empty(_FORWARD_ROWS * GROUP, np.float64)
     per_turn = GROUP * GROUPS_PER_TURN
     while True:
@@ -244,36 +277,35 @@ def project(
         for group in range(begin, min(begin + per_turn, n), GROUP):
             count = min(GROUP, n - group)
             _gather(table, group, count, means, quats, scales, covars, opacities)
-            for at in range(0, GROUP, WIDE):
-                _project_lanes(table, at, camera, covars, width, height)
+            for place in range(0, GROUP, WIDE):
+                _project_lanes(table, place, camera, covars, width, height)
             for j in range(count):
                 g = group + j
-                counts[g] = 0
-                if not table[_O_LEFT * GROUP + j] <= table[_O_RIGHT * GROUP + j]:
+                left, right = at(table, _O_LEFT * GROUP + j), at(table, _O_RIGHT * GROUP + j)
+                if not left <= right:
+                    set_at(counts, g, np.int32(0) if left < 2.0 else REFUSED)
                     continue
+                top, bottom = at(table, _O_TOP * GROUP + j), at(table, _O_BOTTOM * GROUP + j)
                 record = g * stride
-                records[record + CENTER_X] = table[_O_X * GROUP + j]
-                records[record + CENTER_Y] = table[_O_Y * GROUP + j]
-                records[record + UX] = table[_O_UX * GROUP + j]
-                records[record + UY] = table[_O_UY * GROUP + j]
-                records[record + VY] = table[_O_VY * GROUP + j]
-                records[record + LOG_OPACITY] = table[_O_LOG * GROUP + j]
-                records[record + DEPTH] = table[_O_DEPTH * GROUP + j]
+                for k in range(_RECORD):
+                    set_at(records, record + k, np.float32(at(table, (_OUT + k) * GROUP + j)))
                 if layer_ids is not None:
-                    records[record + LAYER] = layer_ids[g]
+                    set_at(records, record + LAYER, np.float32(at(layer_ids, g)))
+                set_at(depths, g, at(records, record + DEPTH))
                 for c in range(channels):
-                    records[record + COLOR + c] = colors[g, c]
-                depths[g] = table[_O_DEPTH * GROUP + j]
-                left, top = int(table[_O_LEFT * GROUP + j]), int(table[_O_TOP * GROUP + j])
-                right, bottom = int(table[_O_RIGHT * GROUP + j]), int(table[_O_BOTTOM * GROUP + j])
-                boxes[4 * g], boxes[4 * g + 1], boxes[4 * g + 2], boxes[4 * g + 3] = left, top, right, bottom
+                    set_at(records, record + COLOR + c, at(colors, g * channels + c))
+                left, top, right, bottom = int(left), int(top), int(right), int(bottom)
+                set_at(boxes, 4 * g, np.uint16(left))
+                set_at(boxes, 4 * g + 1, np.uint16(top))
+                set_at(boxes, 4 * g + 2, np.uint16(right))
+                set_at(boxes, 4 * g + 3, np.uint16(bottom))
                 across = (right >> TILE_SHIFT) - (left >> TILE_SHIFT) + 1
-                counts[g] = across * ((bottom >> TILE_SHIFT) - (top >> TILE_SHIFT) + 1)
+                set_at(counts, g, np.int32(across * ((bottom >> TILE_SHIFT) - (top >> TILE_SHIFT) + 1)))
 
 
 @njit(forceinline=True)
-def _project_lanes(table, at, camera, covars, width, height):
-    x, y, z = _to_camera(table, at, camera)
+def _project_lanes(table, place, camera, covars, width, height):
+    x, y, z = _to_camera(table, place, camera)
     inside = (z > camera[NEAR]) & (z < camera[FAR])
     inverse_z = 1.0 / where(inside, z, 1.0)
     u, v = x * inverse_z, y * inverse_z
@@ -281,13 +313,13 @@ def _project_lanes(table, at, camera, covars, width, height):
     u = minimum(maximum(u, camera[LEFT]), camera[RIGHT])
     v = minimum(maximum(v, camera[TOP]), camera[BOTTOM])
     row_x, row_y = _planar_rows(camera, inverse_z, u, v)
-    covariance = _covariance(table, at, covars)
+    covariance = _covariance(table, place, covars)
     through_x, through_y = _product(covariance, row_x), _product(covariance, row_y)
     sharp_xx, sharp_yy = maximum(_dot(row_x, through_x), 0.0), maximum(_dot(row_y, through_y), 0.0)
     xy, _ = _narrow(sharp_xx, _dot(row_x, through_y), sharp_yy)
     xx, yy = sharp_xx + camera[EPS2D], sharp_yy + camera[EPS2D]
     determinant = xx * yy - xy * xy
-    opacity = _row(table, _OPACITY, at)
+    opacity = _row(table, _OPACITY, place)
     if camera[ANTIALIASED] > 0:
         opacity = opacity * root(maximum(sharp_xx * sharp_yy - xy * xy, 0.0) / determinant)
     log_opacity = _log2(maximum(opacity, 1e-30))
@@ -300,75 +332,84 @@ def _project_lanes(table, at, camera, covars, width, height):
     top = maximum(0.0 - floor(0.0 - (center_y - down - 0.5)), 0.0)
     bottom = minimum(floor(center_y + down - 0.5), height - 1.0)
     seen = inside & (reach >= 0.0) & (left <= right) & (top <= bottom)
-    _set(table, _O_X, at, minimum(maximum(center_x, -1e30), 1e30))
-    _set(table, _O_Y, at, minimum(maximum(center_y, -1e30), 1e30))
+    _set(table, _OUT + CENTER_X, place, minimum(maximum(center_x, -1e30), 1e30))
+    _set(table, _OUT + CENTER_Y, place, minimum(maximum(center_y, -1e30), 1e30))
     shared = root(HALF_LOG2E / (determinant * yy))
-    _set(table, _O_UX, at, yy * shared)
-    _set(table, _O_UY, at, 0.0 - xy * shared)
-    _set(table, _O_VY, at, root(HALF_LOG2E / yy))
-    _set(table, _O_LOG, at, log_opacity)
-    _set(table, _O_DEPTH, at, z)
-    _set(table, _O_LEFT, at, where(seen, left, 1.0))
-    _set(table, _O_RIGHT, at, where(seen, right, 0.0))
-    _set(table, _O_TOP, at, top)
-    _set(table, _O_BOTTOM, at, bottom)
+    _set(table, _OUT + UX, place, yy * shared)
+    _set(table, _OUT + UY, place, 0.0 - xy * shared)
+    _set(table, _OUT + VY, place, root(HALF_LOG2E / yy))
+    _set(table, _OUT + LOG_OPACITY, place, log_opacity)
+    _set(table, _OUT + DEPTH, place, z)
+    _set(table, _O_LEFT, place, where(_acceptable(table, place, covars), where(seen, left, 1.0), 2.0))
+    _set(table, _O_RIGHT, place, where(seen, right, 0.0))
+    _set(table, _O_TOP, place, top)
+    _set(table, _O_BOTTOM, place, bottom)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def project_backward(
-    turn, means, quats, scales, covars, opacities, camera, counts, first_slots, slots, blocks, sums, slot_stride,
-    add, g_means, g_quats, g_scales, g_covars, g_opacities, g_colors, g_camera,
+    turn, means, quats, scales, covars, opacities, camera, counts, first_slots, slots, sums, lanes, slot,
+    channels, add, g_means, g_quats, g_scales, g_covars, g_opacities, g_colors, g_camera,
 ):  # fmt: skip
     """Sum every Gaussian's slots, in order of its tiles, and carry the sums back to the inputs.
 
-    add: add to the gradients (second camera and later) instead of writing them. g_camera (turns, 16): each
-    turn's share of the camera's gradients, to be summed in order by the caller.
+    All arrays are flat. add: add to the gradients (second camera and later) instead of writing them. g_camera
+    (turns * 16,): each turn's share of the camera's gradients, to be summed in order by the caller.
     """
-    n, channels = len(means), g_colors.shape[1]
+    n = len(opacities)
+    parts = length(slot) // len(lanes)
     table = np.zeros(_BACKWARD_ROWS * GROUP, np.float64)
-    colour = np.empty(channels, np.float32)
+    collected = np.empty(GROUP * length(slot), np.float32)
+    whole = bank(slot, np.empty(length(slot), np.float32), lanes)
+    of_camera = np.empty(CAMERA_GRADIENTS * WIDE, np.float64)
     per_turn = GROUP * GROUPS_PER_TURN
     while True:
         mine = take(turn)
         begin = mine * per_turn
         if begin >= n:
             break
-        g_camera[mine] = 0.0
+        of_camera[:] = 0.0
         for group in range(begin, min(begin + per_turn, n), GROUP):
             count = min(GROUP, n - group)
-            _gather(table, group, count, means, quats, scales, covars, opacities)
             any_seen = False
-            for j in range(GROUP):
-                for k in range(SUM_COLOR):
-                    table[(_SUMS + k) * GROUP + j] = 0.0
-                if j >= count:
-                    continue
+            for j in range(count):
                 g = group + j
-                colour[:] = 0.0
-                if counts[g] > 0:
-                    any_seen = True
-                    for slot in range(first_slots[g], first_slots[g + 1]):
-                        entry = np.int64(slots[slot])
-                        if blocks[entry] == 0:
-                            continue
-                        place = entry * slot_stride
-                        for k in range(SUM_COLOR):
-                            table[(_SUMS + k) * GROUP + j] += sums[place + k]
-                        for c in range(channels):
-                            colour[c] += sums[place + SUM_COLOR + c]
-                if add:
-                    for c in range(channels):
-                        g_colors[g, c] += colour[c]
-                else:
-                    for c in range(channels):
-                        g_colors[g, c] = colour[c]
+                any_seen |= at(counts, g) > 0
+                for k in range(parts):
+                    put(whole, k, spread(np.float32(0.0), lanes))
+                for place in range(np.int64(at(first_slots, g)), np.int64(at(first_slots, g + 1))):
+                    ahead = np.int64(at(slots, min(place + _AHEAD, len(slots) - 1)))
+                    prefetch(sums, ahead * length(slot))
+                    slot_place = np.int64(at(slots, place)) * length(slot)
+                    for k in range(parts):
+                        put(whole, k, get(whole, k) + load(sums, slot_place + k * len(lanes), lanes))
+                for k in range(parts):
+                    store(collected, j * length(slot) + k * len(lanes), get(whole, k))
+            for j in range(count):
+                g, place = group + j, j * length(slot)
+                for k in range(SUM_COLOR):
+                    set_at(table, (_SUMS + k) * GROUP + j, np.float64(at(collected, place + k)))
+                for c in range(channels):
+                    _give(g_colors, g * channels + c, at(collected, place + SUM_COLOR + c), add)
             if any_seen:
-                for at in range(0, GROUP, WIDE):
-                    _project_lanes_backward(table, at, camera, covars, g_camera, mine)
+                _gather(table, group, count, means, quats, scales, covars, opacities)
+                for k in range(SUM_COLOR):
+                    for j in range(count, GROUP):
+                        set_at(table, (_SUMS + k) * GROUP + j, 0.0)
+                for place in range(0, GROUP, WIDE):
+                    _project_lanes_backward(table, place, camera, covars, of_camera)
             elif not add:
                 table[_G_MEAN * GROUP :] = 0.0
             if any_seen or not add:
                 _scatter(table, group, count, add, g_means, g_quats, g_scales, g_covars, g_opacities)
+        for k in range(CAMERA_GRADIENTS):
+            g_camera[mine * CAMERA_GRADIENTS + k] = total(load(of_camera, k * WIDE, _LANES))
+
+
+@njit(forceinline=True)
+def _give(array, index, value, add):
+    """Write a gradient, or add it."""
+    set_at(array, index, at(array, index) + value if add else value)
 
 
 @njit(forceinline=True)
@@ -377,39 +418,40 @@ def _scatter(table, group, count, add, g_means, g_quats, g_scales, g_covars, g_o
     for j in range(count):
         g = group + j
         for k in range(3):
-            old = g_means[g, k] if add else np.float32(0.0)
-            g_means[g, k] = old + np.float32(table[(_G_MEAN + k) * GROUP + j])
-        old = g_opacities[g] if add else np.float32(0.0)
-        g_opacities[g] = old + np.float32(table[_G_OPACITY * GROUP + j])
+            _give(g_means, 3 * g + k, np.float32(at(table, (_G_MEAN + k) * GROUP + j)), add)
         if g_quats is not None:
             for k in range(4):
-                old = g_quats[g, k] if add else np.float32(0.0)
-                g_quats[g, k] = old + np.float32(table[(_G_SHAPE + k) * GROUP + j])
+                _give(g_quats, 4 * g + k, np.float32(at(table, (_G_SHAPE + k) * GROUP + j)), add)
             for k in range(3):
-                old = g_scales[g, k] if add else np.float32(0.0)
-                g_scales[g, k] = old + np.float32(table[(_G_SHAPE + 4 + k) * GROUP + j])
+                _give(g_scales, 3 * g + k, np.float32(at(table, (_G_SHAPE + 4 + k) * GROUP + j)), add)
         if g_covars is not None:
-            place = 0
+            place = _G_SHAPE * GROUP + j
             for row in range(3):
                 for column in range(row, 3):
-                    value = np.float32(table[(_G_SHAPE + place) * GROUP + j])
-                    old = g_covars[g, row, column] if add else np.float32(0.0)
-                    g_covars[g, row, column] = old + value
-                    g_covars[g, column, row] = g_covars[g, row, column]
-                    place += 1
+                    value = np.float32(at(table, place))
+                    _give(g_covars, 9 * g + 3 * row + column, value, add)
+                    if row != column:
+                        _give(g_covars, 9 * g + 3 * column + row, value, add)
+                    place += GROUP
+        _give(g_opacities, g, np.float32(at(table, _G_OPACITY * GROUP + j)), add)
 
 
 @njit(forceinline=True)
-def _project_lanes_backward(table, at, camera, covars, g_camera, mine):
+def _more(of_camera, k, value):
+    store(of_camera, k * WIDE, load(of_camera, k * WIDE, _LANES) + value)
+
+
+@njit(forceinline=True)
+def _project_lanes_backward(table, place, camera, covars, of_camera):
     # Forward again, as far as needed.
-    x, y, z = _to_camera(table, at, camera)
+    x, y, z = _to_camera(table, place, camera)
     inside = (z > camera[NEAR]) & (z < camera[FAR])
     inverse_z = 1.0 / where(inside, z, 1.0)
     raw_u, raw_v = x * inverse_z, y * inverse_z
     u = minimum(maximum(raw_u, camera[LEFT]), camera[RIGHT])
     v = minimum(maximum(raw_v, camera[TOP]), camera[BOTTOM])
     row_x, row_y = _planar_rows(camera, inverse_z, u, v)
-    covariance = _covariance(table, at, covars)
+    covariance = _covariance(table, place, covars)
     through_x, through_y = _product(covariance, row_x), _product(covariance, row_y)
     sharp_xx, sharp_yy = maximum(_dot(row_x, through_x), 0.0), maximum(_dot(row_y, through_y), 0.0)
     xy, within = _narrow(sharp_xx, _dot(row_x, through_y), sharp_yy)
@@ -420,13 +462,13 @@ def _project_lanes_backward(table, at, camera, covars, g_camera, mine):
 
     # Sums over pixels -> centre and 2-D covariance. ln 2 because alpha = 2^(...).
     ln2 = math.log(2.0)
-    sum_h = _row(table, _SUMS + SUM_H, at)
-    sum_hu = _row(table, _SUMS + SUM_HU, at) * (2.0 * ln2)
+    sum_h = _row(table, _SUMS + SUM_H, place)
+    sum_hu = _row(table, _SUMS + SUM_HU, place) * (2.0 * ln2)
     g_center_x = sum_hu * ux
-    g_center_y = sum_hu * uy + _row(table, _SUMS + SUM_HY, at) * vy2 * (2.0 * ln2)
-    g_ux = _row(table, _SUMS + SUM_HUX, at) * (-2.0 * ln2)
-    g_uy = _row(table, _SUMS + SUM_HUY, at) * (-2.0 * ln2)
-    g_vy_vy = _row(table, _SUMS + SUM_HYY, at) * vy2 * (-2.0 * ln2)
+    g_center_y = sum_hu * uy + _row(table, _SUMS + SUM_HY, place) * vy2 * (2.0 * ln2)
+    g_ux = _row(table, _SUMS + SUM_HUX, place) * (-2.0 * ln2)
+    g_uy = _row(table, _SUMS + SUM_HUY, place) * (-2.0 * ln2)
+    g_vy_vy = _row(table, _SUMS + SUM_HYY, place) * vy2 * (-2.0 * ln2)
     # u's coefficients are ux = sqrt(k yy / det), uy = -xy sqrt(k / (yy det)); v's is vy = sqrt(k / yy).
     along = g_ux * ux + g_uy * uy
     g_xx = along * yy * inverse_det * -0.5
@@ -444,8 +486,8 @@ def _project_lanes_backward(table, at, camera, covars, g_camera, mine):
         g_yy = g_yy + half * (sharp_xx * inverse_sharp - xx * inverse_det)
         g_xy = g_xy - sum_h * xy * (inverse_sharp - inverse_det)
     g_xy = where(within, g_xy, 0.0)
-    opacity = _row(table, _OPACITY, at)
-    _set(table, _G_OPACITY, at, where(opacity > 0.0, sum_h / maximum(opacity, 1e-30), 0.0))
+    opacity = _row(table, _OPACITY, place)
+    _set(table, _G_OPACITY, place, where(opacity > 0.0, sum_h / maximum(opacity, 1e-30), 0.0))
 
     # 2-D covariance = (rows of J W) V (rows)^T -> V, and the rows.
     g_row_x = (
@@ -477,7 +519,7 @@ def _project_lanes_backward(table, at, camera, covars, g_camera, mine):
         row_x[1] * cross_x[2] + row_y[1] * cross_y[2],
         row_x[2] * cross_x[2] + row_y[2] * cross_y[2],
     )
-    _shape_backward(table, at, covars, g_covariance)
+    _shape_backward(table, place, covars, g_covariance)
 
     # Rows of J W = f / z (R_x - u R_z): -> u, v, 1 / z; centre = f x / z + c: -> x, y, 1 / z.
     fx, fy = camera[FX], camera[FY]
@@ -491,42 +533,46 @@ def _project_lanes_backward(table, at, camera, covars, g_camera, mine):
     g_v = where((raw_v >= camera[TOP]) & (raw_v <= camera[BOTTOM]), g_v, 0.0) + g_center_y * fy
     g_inverse_z = g_scale_x * fx + g_scale_y * fy + g_u * x + g_v * y
     g_x, g_y = g_u * inverse_z, g_v * inverse_z
-    g_z = _row(table, _SUMS + SUM_DEPTH, at) - g_inverse_z * inverse_z * inverse_z
+    g_z = _row(table, _SUMS + SUM_DEPTH, place) - g_inverse_z * inverse_z * inverse_z
     for k in range(3):
-        _set(table, _G_MEAN + k, at, g_x * camera[k] + g_y * camera[3 + k] + g_z * camera[6 + k])
+        _set(table, _G_MEAN + k, place, g_x * camera[k] + g_y * camera[3 + k] + g_z * camera[6 + k])
 
     # The camera: points = R means + t, and R once more in the rows.
     scale_x, scale_y = inverse_z * fx, inverse_z * fy
     for k in range(3):
-        mean = _row(table, _MEAN + k, at)
+        mean = _row(table, _MEAN + k, place)
         g_x_k, g_y_k = g_row_x[k] * scale_x, g_row_y[k] * scale_y
-        g_camera[mine, k] += total(g_x * mean + g_x_k)
-        g_camera[mine, 3 + k] += total(g_y * mean + g_y_k)
-        g_camera[mine, 6 + k] += total(g_z * mean - g_x_k * u - g_y_k * v)
-    g_camera[mine, 9] += total(g_x)
-    g_camera[mine, 10] += total(g_y)
-    g_camera[mine, 11] += total(g_z)
-    g_camera[mine, 12] += total(g_center_x * raw_u + g_scale_x * inverse_z)
-    g_camera[mine, 13] += total(g_center_y * raw_v + g_scale_y * inverse_z)
-    g_camera[mine, 14] += total(g_center_x)
-    g_camera[mine, 15] += total(g_center_y)
+        _more(of_camera, k, g_x * mean + g_x_k)
+        _more(of_camera, 3 + k, g_y * mean + g_y_k)
+        _more(of_camera, 6 + k, g_z * mean - g_x_k * u - g_y_k * v)
+    _more(of_camera, 9, g_x)
+    _more(of_camera, 10, g_y)
+    _more(of_camera, 11, g_z)
+    _more(of_camera, 12, g_center_x * raw_u + g_scale_x * inverse_z)
+    _more(of_camera, 13, g_center_y * raw_v + g_scale_y * inverse_z)
+    _more(of_camera, 14, g_center_x)
+    _more(of_camera, 15, g_center_y)
 
 
 @njit(forceinline=True)
-def _shape_backward(table, at, covars, g_covariance):
+def _shape_backward(table, place, covars, g_covariance):
     """Covariance -> scales and quaternion: V = M S^2 M^T, M the rotation of q / |q|."""
     if covars is not None:
         for k in range(6):
-            _set(table, _G_SHAPE + k, at, g_covariance[k])
+            _set(table, _G_SHAPE + k, place, g_covariance[k])
     else:
-        (w, x, y, z), inverse, m = _rotation(table, at)
+        (w, x, y, z), inverse, m = _rotation(table, place)
         first = _product(g_covariance, (m[0], m[3], m[6]))
         second = _product(g_covariance, (m[1], m[4], m[7]))
         third = _product(g_covariance, (m[2], m[5], m[8]))
-        a, b, c = _row(table, _SHAPE + 4, at), _row(table, _SHAPE + 5, at), _row(table, _SHAPE + 6, at)
-        _set(table, _G_SHAPE + 4, at, 2.0 * a * _dot(first, (m[0], m[3], m[6])))
-        _set(table, _G_SHAPE + 5, at, 2.0 * b * _dot(second, (m[1], m[4], m[7])))
-        _set(table, _G_SHAPE + 6, at, 2.0 * c * _dot(third, (m[2], m[5], m[8])))
+        a, b, c = (
+            _row(table, _SHAPE + 4, place),
+            _row(table, _SHAPE + 5, place),
+            _row(table, _SHAPE + 6, place),
+        )
+        _set(table, _G_SHAPE + 4, place, 2.0 * a * _dot(first, (m[0], m[3], m[6])))
+        _set(table, _G_SHAPE + 5, place, 2.0 * b * _dot(second, (m[1], m[4], m[7])))
+        _set(table, _G_SHAPE + 6, place, 2.0 * c * _dot(third, (m[2], m[5], m[8])))
         a, b, c = 2.0 * a * a, 2.0 * b * b, 2.0 * c * c
         g00, g10, g20 = first[0] * a, first[1] * a, first[2] * a
         g01, g11, g21 = second[0] * b, second[1] * b, second[2] * b
@@ -536,7 +582,7 @@ def _shape_backward(table, at, covars, g_covariance):
         gy = 2.0 * (x * (g01 + g10) + z * (g12 + g21) + w * (g02 - g20) - 2.0 * y * (g00 + g22))
         gz = 2.0 * (x * (g02 + g20) + y * (g12 + g21) + w * (g10 - g01) - 2.0 * z * (g00 + g11))
         along = gw * w + gx * x + gy * y + gz * z
-        _set(table, _G_SHAPE, at, (gw - along * w) * inverse)
-        _set(table, _G_SHAPE + 1, at, (gx - along * x) * inverse)
-        _set(table, _G_SHAPE + 2, at, (gy - along * y) * inverse)
-        _set(table, _G_SHAPE + 3, at, (gz - along * z) * inverse)
+        _set(table, _G_SHAPE, place, (gw - along * w) * inverse)
+        _set(table, _G_SHAPE + 1, place, (gx - along * x) * inverse)
+        _set(table, _G_SHAPE + 2, place, (gy - along * y) * inverse)
+        _set(table, _G_SHAPE + 3, place, (gz - along * z) * inverse)

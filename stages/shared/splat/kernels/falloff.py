@@ -1,0 +1,98 @@
+"""Alpha of a Gaussian on a block of pixels: the piece that both directions of blending share.
+
+They must take the same decisions at the cut-offs bit for bit, so there is one copy, without reordering.
+"""
+
+from __future__ import annotations
+
+from numba import njit
+
+from stages.shared.splat.kernels.lanes import (
+    at,
+    fma,
+    load,
+    magnitude,
+    minimum,
+    negative,
+    scale_by_low_bits,
+    spread,
+    where,
+)
+from stages.shared.splat.kernels.layout import (
+    BLOCK_WIDTH,
+    BLOCKS_ACROSS,
+    CENTER_X,
+    CENTER_Y,
+    LOG_OPACITY,
+    TILE_PIXELS,
+    UX,
+    UY,
+    VY,
+)
+
+# mypy: disable-error-code="no-untyped-def"
+
+
+@njit(forceinline=True)
+def numbers(constants, lanes):
+    """The numbers of `layout.constants` in registers: shift, six coefficients, cut, largest alpha, stop."""
+    n = len(lanes)
+    return (
+        load(constants, 0, lanes), load(constants, n, lanes), load(constants, 2 * n, lanes),
+        load(constants, 3 * n, lanes), load(constants, 4 * n, lanes), load(constants, 5 * n, lanes),
+        load(constants, 6 * n, lanes), load(constants, 7 * n, lanes), load(constants, 8 * n, lanes),
+        load(constants, 9 * n, lanes),
+    )  # fmt: skip
+
+
+@njit(forceinline=True)
+def falloff(pixel_x, pixel_y, records, record, number, lanes):
+    """(dx, dy, u, power of two, alpha, which lanes reach the cut); alpha is 0 where they do not.
+
+    power = 2^(log_opacity - u^2 - v^2), relative error under 1e-6; garbage far outside the Gaussian.
+    """
+    dx = pixel_x - at(records, record + CENTER_X)
+    dy = pixel_y - at(records, record + CENTER_Y)
+    u = fma(spread(at(records, record + UX), lanes), dx, dy * at(records, record + UY))
+    v = dy * at(records, record + VY)
+    exponent = fma(negative(u), u, fma(negative(v), v, spread(at(records, record + LOG_OPACITY), lanes)))
+    keep = exponent >= number[7]
+    shifted = exponent + number[0]
+    fraction = exponent - (shifted - number[0])
+    power = fma(number[6], fraction, number[5])
+    power = fma(power, fraction, number[4])
+    power = fma(power, fraction, number[3])
+    power = fma(power, fraction, number[2])
+    power = scale_by_low_bits(fma(power, fraction, number[1]), shifted)
+    return dx, dy, u, power, where(keep, minimum(power, number[8]), 0.0), keep
+
+
+@njit(forceinline=True)
+def pass_through(before, alpha, number):
+    """Transmittance in front -> (weight, transmittance behind, which lanes are still open).
+
+    A lane stops before the Gaussian that would take it to the limit; its transmittance is then kept, negative.
+    """
+    after = fma(negative(alpha), before, before)
+    still_open = after > number[9]
+    weight = where(still_open, before * alpha, 0.0)
+    return weight, where(still_open, after, negative(magnitude(before))), still_open
+
+
+@njit(forceinline=True)
+def pixel_place(row, column, count, planes):
+    """Where pixel (row, column) of a tile is in a picture's state, laid out [block][plane][lane]."""
+    height = count // BLOCK_WIDTH
+    block = (row // height) * BLOCKS_ACROSS + column // BLOCK_WIDTH
+    return block * planes * count + (row % height) * BLOCK_WIDTH + column % BLOCK_WIDTH
+
+
+@njit(forceinline=True)
+def block_corner(block, count, top, left):
+    """Pixel (x, y) of the first lane of a block of the tile at (top, left)."""
+    x = left + (block % BLOCKS_ACROSS) * BLOCK_WIDTH
+    y = top + (block // BLOCKS_ACROSS) * (count // BLOCK_WIDTH)
+    return x, y
+
+
+__all__ = ["TILE_PIXELS", "block_corner", "falloff", "numbers", "pass_through", "pixel_place"]

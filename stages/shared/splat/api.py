@@ -3,8 +3,8 @@
     picture = rasterize(means, quats, scales, opacities, colors, viewmats, Ks, width, height)
     picture.features, picture.alpha, picture.depth
 
-Argument names are those of gsplat. Backends: `reference` (plain torch, any float type, slow, the oracle), `cpu`
-(fast, float32 inside), `cuda` (gsplat). `auto` is `cuda` for tensors on a GPU, else `cpu`.
+Argument names are those of gsplat. Backends: `reference` (plain torch, any float type, slow, the oracle),
+`cpu` (fast, float32 inside), `cuda` (gsplat). `auto` is `cuda` for tensors on a GPU, else `cpu`.
 """
 
 from __future__ import annotations

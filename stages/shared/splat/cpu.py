@@ -1,8 +1,8 @@
 """The CPU backend: compiled vector kernels over tiles, float32 pictures, float64 projection.
 
-Forward: project -> sort by depth -> sort into tiles -> blend. Backward: blend again, front to back, into one slot
-per (tile, Gaussian) -> sum each Gaussian's slots in order -> backward of the projection. The same bytes come out
-whatever the number of threads.
+Forward: project -> sort by depth -> sort into tiles -> blend. Backward: blend again, front to back, into one
+slot per (tile, Gaussian) -> sum each Gaussian's slots in order -> backward of the projection. The same bytes
+come out whatever the number of threads.
 """
 
 from __future__ import annotations
@@ -169,22 +169,28 @@ def blend_view(
     sizes: Sizes,
 ) -> None:
     """Fill the pictures (1 + L, H, W, ...) of one camera."""
+    lists = (view.starts, view.gaussians)
     run_together(
-        blend, view.starts, view.gaussians, view.records, sizes.record, view.background, features.reshape(-1),
-        alpha.reshape(-1), depth.reshape(-1), view.blocks, *sizes.kernel_sizes(), sizes.argument(2 + sizes.channels),
+        blend, *lists, view.records, sizes.record, view.background, features.reshape(-1), alpha.reshape(-1),
+        depth.reshape(-1), view.blocks, *sizes.kernel_sizes(), sizes.argument(2 + sizes.channels),
     )  # fmt: skip
     if median is not None:
         run_together(
-            median_depths, view.starts, view.gaussians, view.blocks, view.records, sizes.record, median.reshape(-1),
-            sizes.width, sizes.height, sizes.layers, layout.constants(sizes.lanes), sizes.lanes,
+            median_depths, *lists, view.blocks, view.records, sizes.record, median.reshape(-1), sizes.width,
+            sizes.height, sizes.layers, layout.constants(sizes.lanes), sizes.lanes,
         )  # fmt: skip
 
 
 def view_backward(
-    gaussians: Gaussians, view: View, pictures: list[np.ndarray], incoming: list[np.ndarray],
-    outgoing: list[np.ndarray | None], add: bool, sizes: Sizes,
-) -> np.ndarray:  # fmt: skip
-    """Write (or add) the gradients of one camera's pictures to `outgoing`; returns those of the camera (16,)."""
+    gaussians: Gaussians,
+    view: View,
+    pictures: list[np.ndarray],
+    incoming: list[np.ndarray],
+    outgoing: list[np.ndarray | None],
+    add: bool,
+    sizes: Sizes,
+) -> np.ndarray:
+    """Write (or add) the gradients of one camera's pictures to `outgoing`; return the camera's own (16,)."""
     lanes, slot = layout.lanes_argument(sizes.lanes), sizes.argument(sizes.slot)
     sums = np.empty(len(view.gaussians) * sizes.slot, np.float32)
     run_together(
@@ -194,8 +200,10 @@ def view_backward(
     )  # fmt: skip
     turns = -(-len(gaussians.opacities) // (layout.GROUP * layout.GROUPS_PER_TURN))
     shares = np.empty(turns * projection.CAMERA_GRADIENTS, np.float64)
+    seen = (view.camera, view.counts, view.first_slots, view.slots)
     run_together(
-        projection.project_backward, *gaussians.placed, view.camera, view.counts, view.first_slots, view.slots, sums, lanes, slot, sizes.channels, add, *outgoing, shares,
+        projection.project_backward, *gaussians.placed, *seen, sums, lanes, slot, sizes.channels, add,
+        *outgoing, shares,
     )  # fmt: skip
     return shares.reshape(turns, projection.CAMERA_GRADIENTS).sum(0)
 
@@ -253,8 +261,8 @@ class _Rasterize(torch.autograd.Function):
         for i, view in enumerate(views):
             pictures = [x[i].numpy() for x in (features, alpha, depth)]
             g_pictures = [x[i].numpy() for x in incoming]
-            g_camera = view_backward(gaussians, view, pictures, g_pictures, arrays, i > 0, sizes)
-            g_camera = torch.from_numpy(g_camera).float()
+            numbers = view_backward(gaussians, view, pictures, g_pictures, arrays, i > 0, sizes)
+            g_camera = torch.from_numpy(numbers).float()
             g_viewmats[i, :3, :3], g_viewmats[i, :3, 3] = g_camera[:9].reshape(3, 3), g_camera[9:12]
             g_Ks[i, [0, 1, 0, 1], [0, 1, 2, 2]] = g_camera[12:]
         g_background = None
@@ -267,11 +275,11 @@ class _Rasterize(torch.autograd.Function):
 
 
 def _gaussians(inputs: list[Tensor | None]) -> Gaussians:
-    return Gaussians(*(None if x is None else x.detach().numpy().reshape(-1) for x in inputs))  # type: ignore[arg-type]
+    return Gaussians(*(None if x is None else x.detach().numpy().reshape(-1) for x in inputs))
 
 
 def render_scene(scene: Scene) -> Rendering:
-    """Every camera, composite and layers: fields of shape (1 + L, B, H, W, ...), in the dtype of the means."""
+    """Every camera, composite and layers: fields (1 + L, B, H, W, ...), in the dtype of the means."""
     sizes = Sizes(
         scene.width, scene.height, scene.colors.shape[1], scene.layers or None, scene.median, scene.settings,
         layout.host_lanes(),

@@ -142,7 +142,7 @@ def alphas(gaussians: Projected, pixels: Tensor) -> Tensor:
 
 
 def weights(alpha: Tensor) -> tuple[Tensor, Tensor]:
-    """Front-to-back compositing: (P, M) -> w (P, M) with w_k = alpha_k prod_{j<k} (1 - alpha_j), T_end (P,)."""
+    """Front to back: alphas (P, M) -> w_k = alpha_k prod_{j<k} (1 - alpha_j) (P, M), T_end (P,)."""
     after = torch.cumprod(1 - alpha, 1)
     alpha = torch.where(after > TRANSMITTANCE_MIN, alpha, 0.0)
     kept = torch.cumprod(1 - alpha, 1)
@@ -169,7 +169,7 @@ def render(
     members: Tensor | None = None,
     median: bool = False,
 ) -> Rendering:
-    """Composite (M sorted Gaussians, colours (N, C) of all) into H x W pixels; `members` (M,) bool picks some."""
+    """Composite M sorted Gaussians, colours (N, C) of all, into H x W pixels; `members` (M,) picks some."""
     features, opaque, depth, middle = [], [], [], []
     colors = colors[gaussians.index]
     like = gaussians.depths
@@ -199,7 +199,11 @@ def render(
 def render_scene(scene: Scene) -> Rendering:
     """Every camera, composite and layers: fields of shape (1 + L, B, H, W, ...)."""
     check_gaussians(scene)
-    covars = scene.covars if scene.covars is not None else covariances(scene.quats, scene.scales)
+    covars = scene.covars
+    if scene.quats is not None and scene.scales is not None:
+        covars = covariances(scene.quats, scene.scales)
+    assert covars is not None
+    ids = scene.layer_ids
     rows: list[list[Rendering]] = [[] for _ in range(1 + scene.layers)]
     for camera in range(len(scene.viewmats)):
         gaussians = project(
@@ -214,7 +218,7 @@ def render_scene(scene: Scene) -> Rendering:
         )
         background = None if scene.background is None else scene.background[camera]
         for row, pictures in enumerate(rows):
-            members = None if row == 0 else scene.layer_ids[gaussians.index] == row - 1
+            members = None if ids is None or row == 0 else ids[gaussians.index] == row - 1
             pictures.append(
                 render(gaussians, scene.colors, background, scene.width, scene.height, members, scene.median)
             )

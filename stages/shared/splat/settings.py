@@ -18,7 +18,7 @@ FRUSTUM_MARGIN = 0.3
 
 
 SHORTEST_QUATERNION = 1e-15
-"""Largest entry below which a quaternion is refused: its gradient, which grows with 1 / length, leaves float32."""
+"""A quaternion without a larger entry is refused: its gradient grows with 1 / length and leaves float32."""
 
 
 @dataclass(frozen=True)

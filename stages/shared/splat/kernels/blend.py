@@ -1,8 +1,9 @@
 """Forward blending: tile by tile, in two turns over a stretch of the tile's list.
 
-First every Gaussian is tested against all blocks of the tile at once (a lane is a block). Then each block walks
-the Gaussians that can reach it front to back, its pixels in registers, until all of them are opaque. State between stretches lies in L1: for each picture (the
-composite, then each layer alone) and block the planes transmittance, depth, colours.
+First every Gaussian is tested against all blocks of the tile at once (a lane is a block). Then each block
+walks the Gaussians that can reach it front to back, its pixels in registers, until all of them are opaque.
+State between stretches lies in L1: for each picture (the composite, then each layer alone) and block the
+planes transmittance, depth, colours.
 """
 
 from __future__ import annotations
@@ -45,7 +46,8 @@ from stages.shared.splat.kernels.layout import (
 )
 from stages.shared.splat.settings import ALPHA_MAX
 
-# mypy: disable-error-code="no-untyped-def"
+# mypy: ignore-errors
+# (compiled and type-checked by numba)
 
 ZERO, ONE = np.float32(0.0), np.float32(1.0)
 AHEAD = 8
@@ -147,7 +149,7 @@ def _add(pixels, records, record, alpha, number, channels):
 def _add_layered(
     pixels, state, live, bit, set_size, block_place, records, record, alpha, keep, number, lanes, channels
 ):  # fmt: skip
-    """The same for the composite and for the Gaussian's own layer: (changed a pixel, any picture is open here)."""
+    """The same for the composite and the Gaussian's own layer: (changed a pixel, a picture is open here)."""
     touched = 0
     if live[0] & bit != 0:
         still_open = _add(pixels, records, record, alpha, number, channels)
@@ -169,13 +171,13 @@ def _add_layered(
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def blend(
-    turn, starts, gaussians, records, stride, background, features, alpha, depth, blocks, width, height, layers,
-    constants, lanes, channels, planes,
+    turn, starts, gaussians, records, stride, background, features, alpha, depth, blocks, width, height,
+    layers, constants, lanes, channels, planes,
 ):  # fmt: skip
     """Blend the tiles this thread gets.
 
-    starts (tiles + 1,), gaussians (E,) rows of records: the tile lists, nearest first. blocks (E,) uint32: gets
-    the blocks in which an entry changed a pixel, one bit each, which is all that the backward pass visits.
+    starts (tiles + 1,), gaussians (E,) rows of records: the tile lists, nearest first. blocks (E,) uint32:
+    gets the blocks in which an entry changed a pixel, one bit each, all that the backward pass visits.
     layers: None, or how many are rendered alone beside the composite. planes: 2 + channels, as a size.
     """
     count = len(lanes)
@@ -269,7 +271,7 @@ def median_depths(
 ):
     """Camera depth at which each pixel's transmittance first falls to one half; 0 where it never does.
 
-    A plain loop over pixels: nobody differentiates it, and it is made only when asked for. Runs after `blend`.
+    A plain loop over pixels: nobody differentiates it, and it is made only when asked for. Runs after blend.
     """
     columns = (width + TILE - 1) // TILE
     sets = 1 if layers is None else 1 + layers

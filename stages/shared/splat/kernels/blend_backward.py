@@ -6,8 +6,8 @@ list per pixel is kept and nothing is divided to recover a transmittance. Per pi
     d(loss)/d(alpha_k) = T_k value_k - rest_k / (1 - alpha_k),   value_k = G . c_k + g_z z_k + g_alpha,
     rest_k = total - sum_{j<=k} w_j value_j,                     total = sum_j w_j value_j,
 
-where g_alpha includes the background (it is seen through what is left). Gradients of one entry (tile, Gaussian)
-go to a slot of its own: nothing is added concurrently, and the order of additions is fixed.
+where g_alpha includes the background (it is seen through what is left). Gradients of one entry (tile,
+Gaussian) go to a slot of its own: nothing is added concurrently, and the order of additions is fixed.
 """
 
 from __future__ import annotations
@@ -50,7 +50,8 @@ from stages.shared.splat.kernels.layout import (
     TILE_PIXELS,
 )
 
-# mypy: disable-error-code="no-untyped-def"
+# mypy: ignore-errors
+# (compiled and type-checked by numba)
 
 # Planes of a block: transmittance, rest, gradient of alpha, of depth, of colours.
 _REST, _G_ALPHA, _G_DEPTH = 1, 2, 3
@@ -59,8 +60,8 @@ _PLANES = 4
 
 @njit(forceinline=True)
 def _start_tile(
-    state, sets, planes, count, top, left, width, height, background, features, alpha, depth, g_features, g_alpha,
-    g_depth,
+    state, sets, planes, count, top, left, width, height, background, features, alpha, depth, g_features,
+    g_alpha, g_depth,
 ):  # fmt: skip
     channels = len(background)
     for picture in range(sets):
@@ -132,8 +133,8 @@ def blend_backward(
             continue
         top, left = (tile // columns) * TILE, (tile % columns) * TILE
         _start_tile(
-            state, sets, planes, count, top, left, width, height, background, features, alpha, depth, g_features,
-            g_alpha, g_depth,
+            state, sets, planes, count, top, left, width, height, background, features, alpha, depth,
+            g_features, g_alpha, g_depth,
         )  # fmt: skip
         for block in range(TILE_PIXELS // count):
             x, y = block_corner(block, count, top, left)

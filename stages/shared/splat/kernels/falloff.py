@@ -30,7 +30,8 @@ from stages.shared.splat.kernels.layout import (
     VY,
 )
 
-# mypy: disable-error-code="no-untyped-def"
+# mypy: ignore-errors
+# (compiled and type-checked by numba)
 
 
 @njit(forceinline=True)
@@ -71,7 +72,7 @@ def falloff(pixel_x, pixel_y, records, record, number, lanes):
 def pass_through(before, alpha, number):
     """Transmittance in front -> (weight, transmittance behind, which lanes are still open).
 
-    A lane stops before the Gaussian that would take it to the limit; its transmittance is then kept, negative.
+    A lane stops before the Gaussian that would take it to the limit, and keeps its transmittance, negative.
     """
     after = fma(negative(alpha), before, before)
     still_open = after > number[9]

@@ -119,8 +119,8 @@ def _binary(build: str, **options: Any) -> Any:
         kind = _common(sig.args)
         assert kind is not None
         values = [_spread(context, builder, a, t, kind) for a, t in zip(args, sig.args, strict=True)]
-        # Doubles (projection) may be contracted to fused multiply-adds; floats (blending) are fused explicitly,
-        # so that the forward and backward passes take the same decisions bit for bit.
+        # Doubles (projection) may be contracted to fused multiply-adds; floats (blending) are fused
+        # explicitly, so that the forward and backward passes take the same decisions bit for bit.
         flags = {"flags": ("contract",)} if kind.element == types.float64 and build != "fcmp_ordered" else {}
         if build == "fcmp_ordered":
             return builder.fcmp_ordered(options["test"], *values)
@@ -201,7 +201,7 @@ floor = _elementwise("floor", 1)
 
 
 def _extreme(test: str) -> Any:
-    """The smaller or larger of two; the second where one is not a number (what vector units do in one step)."""
+    """The smaller or larger of two; the second where one is not a number (one step for vector units)."""
 
     def typed(typingctx: Any, a: Any, b: Any) -> Any:
         kind = _common((a, b))
@@ -329,7 +329,7 @@ def load(typingctx: Any, array: Any, index: Any, lanes: Any) -> Any:
 
 @intrinsic
 def bit_column(typingctx: Any, array: Any, index: Any, bit: Any, lanes: Any) -> Any:
-    """Which of the consecutive int32 from array[index] on have a bit of `bit` set: an integer, the first in bit 0."""
+    """Which of the int32 from array[index] on have a bit of `bit` set: an integer, the first in bit 0."""
     count = len(lanes)
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:

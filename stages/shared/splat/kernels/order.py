@@ -1,7 +1,7 @@
 """Depth order and tile lists: a radix sort of float32 depths, then a counting sort into tiles.
 
-Gaussians enter the tiles nearest first, so that no tile has to sort. Both sorts are stable: the lists depend on
-the scene only, not on how the work was shared.
+Gaussians enter the tiles nearest first, so that no tile has to sort. Both sorts are stable: the lists depend
+on the scene only, not on how the work was shared.
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ from numba import njit
 from stages.shared.splat.kernels.lanes import at, prefetch, take
 from stages.shared.splat.kernels.layout import TILE_SHIFT
 
-# mypy: disable-error-code="no-untyped-def"
+# mypy: ignore-errors
+# (compiled and type-checked by numba)
 
 _DIGIT = 11
 _BUCKETS = 1 << _DIGIT
@@ -81,7 +82,7 @@ def count_tiles(turn, order, boxes, columns, tallies):
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def place_tiles(tallies, starts):
-    """Counts per (chunk, tile) -> first place of each, in tile order and chunk order within; starts of tiles."""
+    """Counts per (chunk, tile) -> first place of each, by tile and within by chunk; starts of tiles."""
     place = 0
     for tile in range(tallies.shape[1]):
         starts[tile] = place

@@ -59,7 +59,8 @@ from stages.shared.splat.kernels.layout import (
 )
 from stages.shared.splat.settings import ALPHA_MIN, SHORTEST_QUATERNION
 
-# mypy: disable-error-code="no-untyped-def"
+# mypy: ignore-errors
+# (compiled and type-checked by numba)
 
 # A camera is 24 doubles: R (9), t (3), fx fy cx cy, limits of x/z and y/z (4), near, far, eps2d, antialiased.
 R, T, FX, FY, CX, CY, LEFT, RIGHT, TOP, BOTTOM, NEAR, FAR, EPS2D, ANTIALIASED = (
@@ -261,11 +262,10 @@ def project(
     turn, means, quats, scales, covars, opacities, colors, channels, layer_ids, camera, width, height,
     records, stride, boxes, depths, counts,
 ):  # fmt: skip
-    """Gaussians -> records, boxes (4N,) uint16 px inclusive, depths (N,) m, counts (N,) of tiles, 0 if unseen,
-    REFUSED if it cannot be rendered.
+    """Gaussians -> records, boxes (4N,) uint16 px inclusive, depths (N,) m, counts (N,) of tiles.
 
-    All arrays are flat. Either quats (4N,) and scales (3N,), or covars (9N,); the others None. layer_ids (N,) or
-    None.
+    A count is 0 if the Gaussian is unseen, REFUSED if it cannot be rendered. All arrays are flat. Either
+    quats (4N,) and scales (3N,), or covars (9N,); the others None. layer_ids (N,) or None.
     """
     n = len(opacities)
     table = np.empty(_FORWARD_ROWS * GROUP, np.float64)

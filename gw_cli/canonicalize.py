@@ -22,7 +22,8 @@ def register(app: typer.Typer) -> None:
             Path, typer.Argument(metavar="SUBJECT", help="Workspace folder of the subject, or one mesh file.")
         ],
         output: Annotated[
-            Path | None, typer.Option("--output", "-o", help="For a mesh: workspace to make; default: its name.")
+            Path | None,
+            typer.Option("--output", "-o", help="For a mesh: workspace to make; default: its name."),
         ] = None,
         params: Annotated[
             Path | None, typer.Option(help="For a mesh: its body fit (smpl_params.npz); fitted if left out.")
@@ -40,8 +41,8 @@ def register(app: typer.Typer) -> None:
     ) -> None:
         """Bring the template to the canonical pose and the zero shape.
 
-        Every vertex keeps the skinning weights that pose it back exactly. A lone mesh is registered first: with
-        --params the body fit is given, without it the body is fitted to the mesh.
+        Every vertex keeps the skinning weights that pose it back exactly. A lone mesh is registered first:
+        with --params the body fit is given, without it the body is fitted to the mesh.
         """
         from stages.canonicalize import stage
         from stages.canonicalize.config import PRESETS
@@ -73,7 +74,9 @@ def register(app: typer.Typer) -> None:
 def _known_spread(spread: str) -> str:
     if spread not in ("wide", "inverse", "nearest"):
         raise UsageProblem(
-            f"There is no spread called {spread!r}.", "option --spread", "Choose one of: wide, inverse, nearest."
+            f"There is no spread called {spread!r}.",
+            "option --spread",
+            "Choose one of: wide, inverse, nearest.",
         )
     return spread
 

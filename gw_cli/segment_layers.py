@@ -29,8 +29,8 @@ def register(app: typer.Typer) -> None:
     ) -> None:
         """Split the template into the body and the garments that are there, and give them colours.
 
-        Labels come from the label images of the template's frame (every camera votes where it sees the surface)
-        or from the scan. The body is the whole body model, with the hair and shoes of the template.
+        Labels come from the label images of the template's frame (every camera votes where it sees the
+        surface) or from the scan. The body is the whole body model, with the hair and shoes of the template.
         """
         from stages.segment_layers import stage
         from stages.segment_layers.config import PRESETS

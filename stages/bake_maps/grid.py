@@ -14,8 +14,8 @@ from stages.shared.errors import BadData
 class Grid:
     """S x S texels around the centre of the zero-shape body; the same texel is the same (x, y) for everybody.
 
-    Texel (row, column) sits at x = c_x + ((column + ½) − S/2)·pitch, y = c_y − ((row + ½) − S/2)·pitch, in both
-    views; the back view is stored as seen through the front, so columns agree.
+    Texel (row, column) sits at x = c_x + ((column + ½) − S/2)·pitch, y = c_y − ((row + ½) − S/2)·pitch, in
+    both views; the back view is stored as seen through the front, so columns agree.
 
     Attributes:
         size: S.
@@ -34,7 +34,7 @@ class Grid:
         return cls(math.ceil(extent / pitch - 1e-9), pitch, centre)
 
     def window(self, vertices: np.ndarray, layer: str) -> tuple[int, int, int, int]:
-        """Smallest window (row0, column0, height, width) with every texel whose centre vertices (V, 3) may cover.
+        """Smallest window (row0, column0, height, width) of the texels that a mesh of vertices (V, 3) covers.
 
         Raises:
             BadData: the layer reaches beyond the grid; says how far.
@@ -62,7 +62,7 @@ class Grid:
         return BadData(
             f"The layer {layer} reaches beyond the {2 * half:.2f} m map (over by: {text}).",
             f"layer {layer}, canonical pose",
-            f"Give gw bake-maps --extent {math.ceil(needed * 10) / 10:.1f}, or remove stray parts of the template.",
+            f"Give gw bake-maps --extent {math.ceil(needed * 10) / 10:.1f}, or clean the template.",
         )
 
     def positions(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Which texels are neighbours on the surface, which meet across the silhouette, and how far apart they are."""
+"""Which texels are neighbours on the surface, which meet across the silhouette, how far apart they are."""
 
 from __future__ import annotations
 
@@ -16,7 +16,11 @@ def texel_numbers(texels: np.ndarray, window: tuple[int, int, int, int]) -> np.n
 
 
 def neighbour_texels(
-    numbers: np.ndarray, texels: np.ndarray, window: tuple[int, int, int, int], depths: np.ndarray, jump: float
+    numbers: np.ndarray,
+    texels: np.ndarray,
+    window: tuple[int, int, int, int],
+    depths: np.ndarray,
+    jump: float,
 ) -> np.ndarray:
     """(N, 4) int32: the texel up, right, down, left in the same view, −1 where none or across a depth jump.
 
@@ -42,14 +46,16 @@ def seam_pairs(
     front, back = numbers[0].ravel(), numbers[1].ravel()
     both = (front >= 0) & (back >= 0)
     front, back = front[both], back[both]
-    rim = (neighbours < 0).any(axis=1)
+    rim = np.any(neighbours < 0, axis=1)
     distance = np.linalg.norm(positions[front] - positions[back], axis=1)
     turns = np.einsum("sk,sk->s", normals[front, :2], normals[back, :2]) > 0.2
     meets = rim[front] & rim[back] & ((turns & (distance < reach)) | (distance < reach / 8))
     return np.stack([front[meets], back[meets]], axis=1).astype(np.int32)
 
 
-def initial_sigma(normals: np.ndarray, pitch: float, per_spacing: float, largest_stretch: float) -> np.ndarray:
+def initial_sigma(
+    normals: np.ndarray, pitch: float, per_spacing: float, largest_stretch: float
+) -> np.ndarray:
     """(N,) metres: standard deviation that lets a texel's Gaussian blend with the next ones.
 
     A texel covers pitch / |n_z| of a surface with unit normal n (N, 3) along its slope; that is its spacing,

@@ -1,4 +1,4 @@
-"""Turn every layer mesh into front and back maps of texels on one shared grid; each texel will carry a Gaussian.
+"""Turn every layer mesh into front and back maps of texels on one grid; each texel will carry a Gaussian.
 
 Reads:
     register-template   the template's frame and take
@@ -34,10 +34,9 @@ from stages.bake_maps.texels import Texels, cast_texels
 from stages.bake_maps.unseen import unseen_share
 from stages.pipeline import BAKE_MAPS, CANONICALIZE, REGISTER_TEMPLATE, SEGMENT_LAYERS
 from stages.shared.artifacts import Artifact, ExternalFiles, Workspace
-from stages.shared.body.model import BodyModel
-from stages.shared.capture import Capture, Take
+from stages.shared.capture import Take
 from stages.shared.capture.layer_colors import layer_colors
-from stages.shared.capture.subject import open_subject_capture
+from stages.shared.capture.template_views import frame_files, template_take
 from stages.shared.errors import BadData
 from stages.shared.meshes.raycast import RayScene
 from stages.shared.plan import Plan
@@ -82,7 +81,11 @@ def run(
     canonical, segmented = workspace.require(CANONICALIZE), workspace.require(SEGMENT_LAYERS)
     capture, take = template_take(workspace, registered) if config.project_colors else (None, None)
     frame = int(segmented.summary["frame"])
-    inputs = {"canonicalize": canonical, "segment-layers": segmented, **_files(capture, take, frame)}
+    inputs: dict[str, Artifact | ExternalFiles] = {
+        "canonicalize": canonical,
+        "segment-layers": segmented,
+        **frame_files(capture, take, frame),
+    }
     found = None if force else workspace.find(BAKE_MAPS, config, inputs)
     if found:
         report.say("bake-maps is up to date")
@@ -126,14 +129,6 @@ def plan(subject: Path, config: BakeMapsConfig = BakeMapsConfig()) -> Plan:
     )
 
 
-def template_take(workspace: Workspace, registered: Artifact) -> tuple[Capture | None, Take | None]:
-    """The capture of the subject and the take that the template was made from; None for a lone mesh."""
-    if not workspace.settings().get("capture"):
-        return None, None
-    capture = open_subject_capture(workspace, BodyModel.from_arrays(registered.arrays("body")))
-    return capture, capture.take(str(registered.summary["take"]))
-
-
 def bake_layer(mesh: Mesh, texels: Texels, grid: Grid, config: BakeMapsConfig) -> Mesh:
     """Arrays of one layer's texels, colours interpolated from the mesh.
 
@@ -157,9 +152,9 @@ def bake_layer(mesh: Mesh, texels: Texels, grid: Grid, config: BakeMapsConfig) -
         "shape_directions": texels.interpolate(faces, mesh["shape_directions"]).astype(np.float32),
         "neighbours": neighbours,
         "seams": seam_pairs(numbers, neighbours, positions, normals, config.seam_reach_m),
-        "spacing": initial_sigma(normals, grid.pitch, config.sigma_per_spacing, config.largest_stretch).astype(
-            np.float32
-        ),
+        "spacing": initial_sigma(
+            normals, grid.pitch, config.sigma_per_spacing, config.largest_stretch
+        ).astype(np.float32),
         "colors": (texels.interpolate(faces, mesh["colors"]) / 255).astype(np.float32),
         "color_confidence": texels.interpolate(faces, mesh["color_confidence"]).astype(np.float32),
         "labels": mesh["labels"][corner],
@@ -184,26 +179,14 @@ def add_texel_colors(
     maps["color_confidence"] = confidence
 
 
-def _files(capture: Capture | None, take: Take | None, frame: int) -> dict[str, ExternalFiles]:
-    """The files of the capture that the colours depend on."""
-    if capture is None or take is None:
-        return {}
-    views = [take.view(name, frame) for name in take.training_cameras if take.has_image(name, frame)]
-    groups = {
-        "capture/cameras": list(take.calibration_files),
-        "capture/images": [view.image for view in views],
-        "capture/masks": [view.mask for view in views],
-        "capture/labels": [view.labels for view in views if view.labels is not None],
-    }
-    return {name: ExternalFiles(name, capture.root, files) for name, files in groups.items() if files}
-
-
 def _world_scene(meshes: dict[str, Mesh]) -> RayScene:
     """All layers together, in the world at the template's frame."""
     counts = [len(mesh["world_vertices"]) for mesh in meshes.values()]
     starts = np.cumsum([0, *counts[:-1]])
     faces = [mesh["faces"] + start for mesh, start in zip(meshes.values(), starts, strict=True)]
-    return RayScene(np.concatenate([mesh["world_vertices"] for mesh in meshes.values()]), np.concatenate(faces))
+    return RayScene(
+        np.concatenate([mesh["world_vertices"] for mesh in meshes.values()]), np.concatenate(faces)
+    )
 
 
 def _empty(layer: str) -> BadData:

@@ -27,10 +27,10 @@ class Texels:
     barycentric: np.ndarray
 
     def outward(self, vertices: np.ndarray, faces: np.ndarray, seen_in: np.ndarray) -> np.ndarray:
-        """Unit normals (N, 3) of vertices (V, 3), interpolated, on the side from which the view sees the texel.
+        """Unit normals (N, 3) of vertices (V, 3), interpolated, on the side that the view sees.
 
         A face seen from behind (the inside of a skirt, a flipped face) shows its other side, so its normal is
-        turned. `seen_in` are the canonical vertices the maps were cast on; `vertices` may be the same ones posed.
+        turned. `seen_in` are the canonical vertices the maps were cast on; `vertices` may be those posed.
         """
         normals = self.interpolate(faces, vertex_normals(vertices, faces))
         sign = np.where(self.texels[:, 0] == 0, 1.0, -1.0)
@@ -49,8 +49,8 @@ class Texels:
 def cast_texels(vertices: np.ndarray, faces: np.ndarray, grid: Grid, layer: str) -> Texels:
     """First hits of the parallel rays through all texels of the layer's window, from front and back.
 
-    Only what is hit first becomes a texel, so nothing inside another part of the same layer (the scalp under the
-    hair, the foot in the shoe) gets one.
+    Only what is hit first becomes a texel, so nothing inside another part of the same layer (the scalp under
+    the hair, the foot in the shoe) gets one.
 
     Raises:
         BadData: the layer reaches beyond the grid.

@@ -14,9 +14,9 @@ _DIRECTIONS = 24
 def unseen_share(vertices: np.ndarray, faces: np.ndarray, samples: int = 20_000) -> float:
     """Share of the outwardly visible area that neither the front nor the back view sees (0 to 1).
 
-    Points are spread over the faces by area (the same ones every time). A point counts as outwardly visible when
-    a ray from either side of it escapes in at least one of some directions, which leaves out what is enclosed,
-    such as the scalp under the hair; it is seen when a ray along +z or −z escapes.
+    Points are spread over the faces by area (the same ones every time). A point counts as outwardly visible
+    when a ray from either side of it escapes in at least one of some directions, which leaves out what is
+    enclosed, such as the scalp under the hair; it is seen when a ray along +z or −z escapes.
     """
     points, normals = surface_points(vertices, faces, samples)
     if not len(points):
@@ -57,6 +57,6 @@ def sphere_directions(count: int) -> np.ndarray:
 
 
 def _escapes(scene: RayScene, points: np.ndarray, normals: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """(N,) bool: a ray towards `direction` from just off the surface, on the side it leaves by, meets nothing."""
+    """(N,) bool: a ray towards `direction` from just off the surface, on that side of it, meets nothing."""
     side = np.where(normals @ direction >= 0, 1.0, -1.0)[:, None]
     return ~scene.first_hits(points + _LIFT * side * normals, direction).hit

@@ -1,14 +1,14 @@
 """Bring the posed template to the canonical pose and the zero shape.
 
 Reads (register-template):
-    template.safetensors   vertices (V,3) f32 m world, faces (F,3) i32, colors (V,3) u8, labels (V,) u8 if known
+    template.safetensors   vertices (V,3) f32 m world, faces (F,3) i32; colors (V,3) u8, labels (V,) u8 if any
     body.safetensors       the body model
     smpl_params.npz        pose and shape of every frame
 Writes:
-    template.safetensors   vertices (V,3) f32 m canonical zero-shape, faces (F,3) i32, skin_weights (V,55) f32,
-                           shape_directions (V,10,3) f32 m per unit of shape, canonical; colors, labels as read
+    template.safetensors   vertices (V,3) f32 m canonical zero-shape, faces (F,3) i32, skin_weights (V,55)
+                           f32, shape_directions (V,10,3) f32 m per unit of shape, canonical; colors, labels
     body.safetensors       the same for the body mesh itself
-    fields.safetensors     the voxel fields of weights and rest-frame shape directions, canonical, subject's shape
+    fields.safetensors     voxel fields of weights and rest-frame shape directions, canonical, subject's shape
     preview.png            the canonical template from front and back
 """
 
@@ -34,8 +34,8 @@ from stages.shared.body.model import BodyModel
 from stages.shared.body.poses import Poses
 from stages.shared.fields.body_field import BodyField, FieldConfig, build_body_field
 from stages.shared.fields.diffusion import inverse_distance_matrix
-from stages.shared.meshes.topology import vertex_normals
 from stages.shared.meshes.picture import two_sided_picture
+from stages.shared.meshes.topology import vertex_normals
 from stages.shared.plan import Plan
 from stages.shared.poses.read import load_poses
 from stages.shared.report import SILENT, Report
@@ -165,7 +165,9 @@ def round_trip_residual(
     mesh: dict[str, np.ndarray], pose: Poses, transforms: np.ndarray, world: np.ndarray
 ) -> np.ndarray:
     """Distance (V,), metres, between the template and what is stored, shaped and posed back."""
-    stored = {name: mesh[name].astype(np.float64) for name in ("vertices", "skin_weights", "shape_directions")}
+    stored = {
+        name: mesh[name].astype(np.float64) for name in ("vertices", "skin_weights", "shape_directions")
+    }
     shaped = add_shape(stored["vertices"], stored["shape_directions"], pose.betas)
     return np.linalg.norm(forward_skin(shaped, stored["skin_weights"], transforms) - world, axis=1)
 
@@ -204,7 +206,9 @@ def _summary(
 def _tell(artifact: Artifact, report: Report) -> None:
     summary = artifact.summary
     if summary["cut_faces"]:
-        report.warn(f"{summary['torn_edges']} edges were torn by the change of pose; {summary['cut_faces']} faces cut")
+        report.warn(
+            f"{summary['torn_edges']} edges were torn by the change of pose; {summary['cut_faces']} faces cut"
+        )
     if summary["residual_max_m"] > 1e-5:
         report.warn(f"posing the template back misses it by up to {1e3 * summary['residual_max_m']:.3g} mm")
 

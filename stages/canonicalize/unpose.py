@@ -135,7 +135,7 @@ def _keep_better(
 def _newton_step(
     points: np.ndarray, world: np.ndarray, transforms: np.ndarray, weights_at: Weights, step: float = 2e-3
 ) -> np.ndarray:
-    """One Newton step on x ↦ (Σ_j W_j(x) M_j) x − y, its Jacobian by central differences over `step` metres."""
+    """One Newton step on x ↦ (Σ_j W_j(x) M_j) x − y; Jacobian by central differences over `step` metres."""
     residual = forward_skin(points, weights_at(points), transforms) - world
     jacobian = np.empty((len(points), 3, 3))
     for axis in range(3):

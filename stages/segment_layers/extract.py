@@ -45,7 +45,7 @@ def extract_part(
 
 
 def sink(vertices: np.ndarray, normals: np.ndarray, ring: np.ndarray, depth: float) -> np.ndarray:
-    """Move vertices (V, 3) of ring r inward by r · depth along their normals, so that the neighbour covers them."""
+    """Move vertices (V, 3) of ring r inward by r · depth along their normals, under the neighbour."""
     return vertices - (ring * depth)[:, None] * normals
 
 

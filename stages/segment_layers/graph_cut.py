@@ -20,9 +20,7 @@ def energy(labels: np.ndarray, costs: np.ndarray, edges: np.ndarray, weights: np
     return float(unary + weights[labels[edges[:, 0]] != labels[edges[:, 1]]].sum())
 
 
-def alpha_expansion(
-    costs: np.ndarray, edges: np.ndarray, weights: np.ndarray, sweeps: int = 2
-) -> np.ndarray:
+def alpha_expansion(costs: np.ndarray, edges: np.ndarray, weights: np.ndarray, sweeps: int = 2) -> np.ndarray:
     """Labels (V,) from costs (V, L) ≥ 0, edges (E, 2) and weights (E,) ≥ 0.
 
     Starts from the cheapest label of every vertex; stops when a sweep over all labels changes nothing.
@@ -43,7 +41,7 @@ def expand(
     """The best labelling in which every vertex keeps its label or takes `alpha`.
 
     With x = 1 for taking α, an edge costs A = E(0,0), B = E(0,1), C = E(1,0), 0 = E(1,1), which is
-    A + (C − A) x_u − C x_v + (B + C − A)(1 − x_u) x_v; the last factor is ≥ 0 for these costs, so a cut counts it.
+    A + (C − A) x_u − C x_v + (B + C − A)(1 − x_u) x_v; the last factor is ≥ 0 here, so a cut can count it.
     """
     count = len(labels)
     vertices = np.arange(count)

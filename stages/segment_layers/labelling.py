@@ -18,8 +18,8 @@ _UNSEEN = 0.05  # how much the nearest seen vertex counts for one that no image 
 def label_costs(vertices: np.ndarray, edges: np.ndarray, votes: np.ndarray) -> np.ndarray:
     """(V, L) cost of each label: −log of its share of the votes, scaled by how well the vertex was seen.
 
-    An unseen vertex leans faintly to the label of the seen vertex nearest along the surface (or, on a piece of
-    the mesh that no camera sees, nearest in space).
+    An unseen vertex leans faintly to the label of the seen vertex nearest along the surface (or, on a piece
+    of the mesh that no camera sees, nearest in space).
 
     Arguments:
         vertices: (V, 3) metres. edges: (E, 2). votes: (V, L) ≥ 0, sums of view weights.

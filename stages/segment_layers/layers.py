@@ -30,7 +30,8 @@ class Template:
     """The template in the world and in canonical space, with the same vertices.
 
     Attributes:
-        world: (V, 3) float64 metres. faces: (F, 3), those that canonicalize kept, turned outward. normals: (V, 3) world.
+        world: (V, 3) float64 metres. normals: (V, 3) world.
+        faces: (F, 3), those that canonicalize kept, turned outward.
         canonical: vertices, skin_weights, shape_directions of the zero shape.
         canonical_normals: (V, 3). colors: (V, 3) u8 or None. labels: (V,) u8 or None.
     """
@@ -62,7 +63,7 @@ class Template:
 def garment_layer(
     template: Template, labels: np.ndarray, label: int, config: SegmentLayersConfig
 ) -> dict[str, np.ndarray]:
-    """Mesh of one garment, its border tucked under the other garments beside it; empty when it is not there."""
+    """Mesh of one garment, its border tucked under the garments beside it; empty when it is not there."""
     by_face = face_labels(labels, template.faces, _OUTERMOST)
     under = np.isin(by_face, [other for other in GARMENT_LABELS if other != label])
     part = extract_part(template.faces, by_face == label, under, config.extended_rings, len(labels))
@@ -122,7 +123,9 @@ def _part_mesh(template: Template, part: LayerPart, label: int, depth: float) ->
         canonical["vertices"].astype(np.float64), template.canonical_normals[numbers], part.ring, depth
     ).astype(np.float32)
     world = sink(template.world[numbers], template.normals[numbers], part.ring, depth)
-    colors = template.colors[numbers] if template.colors is not None else np.zeros((len(numbers), 3), np.uint8)
+    colors = (
+        template.colors[numbers] if template.colors is not None else np.zeros((len(numbers), 3), np.uint8)
+    )
     return {
         **canonical,
         "faces": part.faces.astype(np.int32),

@@ -13,8 +13,8 @@ _LIFT = 1e-3  # metres
 def outward_faces(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Faces (F, 3), those of every inside-out connected piece with their corners swapped.
 
-    From the outside of a surface most rays along the normal leave the scene; from the inside they meet it again.
-    A piece is turned when more of its vertices are free behind than before.
+    From the outside of a surface most rays along the normal leave the scene; from the inside they meet it
+    again. A piece is turned when more of its vertices are free behind than before.
     """
     normals = vertex_normals(vertices, faces).astype(np.float64)
     scene = RayScene(vertices, faces)

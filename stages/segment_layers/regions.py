@@ -31,20 +31,12 @@ def remove_islands(
 ) -> np.ndarray:
     """Give patches of one label smaller than `smallest` m² the label they share most edges with.
 
-    A patch without neighbours of another label (a separate piece of the mesh) keeps its label, and so does
-    the largest patch of every label.
+    A patch without neighbours of another label (a separate piece of the mesh) keeps its label, however small.
     """
     labels = labels.copy()
     for _ in range(rounds):
-        patches, patch_labels, patch_areas = _patches(labels, edges, areas)
-        largest = {
-            int(np.flatnonzero(patch_labels == label)[patch_areas[patch_labels == label].argmax()])
-            for label in np.unique(labels)
-        }
-        small = [p for p in np.flatnonzero(patch_areas < smallest) if int(p) not in largest]
-        if not small:
-            break
-        if not _absorb(labels, edges, patches, small):
+        patches, _, patch_areas = _patches(labels, edges, areas)
+        if not _absorb(labels, edges, patches, np.flatnonzero(patch_areas < smallest)):
             break
     return labels
 
@@ -59,7 +51,7 @@ def drop_absent(
         if not inside.any() or areas[inside].sum() >= share * areas.sum():
             continue
         patches, patch_labels, _ = _patches(labels, edges, areas)
-        _absorb(labels, edges, patches, list(np.flatnonzero(patch_labels == label)))
+        _absorb(labels, edges, patches, np.flatnonzero(patch_labels == label))
         labels[labels == label] = 0
     return labels
 
@@ -75,7 +67,9 @@ def face_labels(labels: np.ndarray, faces: np.ndarray, outermost: tuple[int, ...
     return np.where(split, first, majority)
 
 
-def _patches(labels: np.ndarray, edges: np.ndarray, areas: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _patches(
+    labels: np.ndarray, edges: np.ndarray, areas: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Patch number (V,), label (P,) and area (P,) of the connected patches of equal label."""
     same = edges[labels[edges[:, 0]] == labels[edges[:, 1]]]
     graph = sparse.coo_matrix((np.ones(len(same)), (same[:, 0], same[:, 1])), shape=(len(labels),) * 2)
@@ -85,7 +79,7 @@ def _patches(labels: np.ndarray, edges: np.ndarray, areas: np.ndarray) -> tuple[
     return patches, patch_labels, np.bincount(patches, areas, minlength=count)
 
 
-def _absorb(labels: np.ndarray, edges: np.ndarray, patches: np.ndarray, chosen: list[int]) -> bool:
+def _absorb(labels: np.ndarray, edges: np.ndarray, patches: np.ndarray, chosen: np.ndarray) -> bool:
     """Relabel, in place, the chosen patches by the most frequent other label across their border."""
     changed = False
     border = edges[labels[edges[:, 0]] != labels[edges[:, 1]]]

@@ -1,14 +1,14 @@
 """Split the template into layers: the body, and a mesh for every garment that is there.
 
 Reads:
-    register-template   template.safetensors (vertices (V,3) m world, faces, colors?, labels?), body.safetensors,
-                        smpl_params.npz
-    canonicalize        template.safetensors, body.safetensors (canonical zero-shape, with weights and directions)
+    register-template   template.safetensors (vertices (V,3) m world, faces; colors, labels if any),
+                        body.safetensors, smpl_params.npz
+    canonicalize        template.safetensors, body.safetensors (canonical zero-shape, weights, directions)
     capture             images, masks and label images of the template's frame, training cameras
 Writes:
     <layer>.safetensors vertices (V,3) f32 m canonical zero-shape, faces (F,3) i32, skin_weights (V,55) f32,
                         shape_directions (V,10,3) f32 m per unit of shape, world_vertices (V,3) f32 m world,
-                        colors (V,3) u8 sRGB (filled where unseen), color_confidence (V,) f32 (0 where filled),
+                        colors (V,3) u8 sRGB (filled where unseen), color_confidence (V,) f32 (0 if filled),
                         labels (V,) u8, ring (V,) i32 (0 own surface, r tucked under a neighbour)
     labels.safetensors  labels (V,) u8 of the template's vertices
     preview.png         the template in label colours, front and back
@@ -31,10 +31,10 @@ from stages.segment_layers.layers import GARMENT_LABELS, Template, body_layer, g
 from stages.segment_layers.regions import vertex_areas
 from stages.shared.artifacts import Artifact, ExternalFiles, Workspace
 from stages.shared.body.model import BodyModel
-from stages.shared.capture import LABELS, NO_LABEL, Capture, Take, label_picture
+from stages.shared.capture import LABELS, NO_LABEL, Take, label_picture
 from stages.shared.capture.layer_colors import has_label_images, layer_colors
 from stages.shared.capture.projection import project_labels
-from stages.shared.capture.subject import open_subject_capture
+from stages.shared.capture.template_views import frame_files, template_take
 from stages.shared.errors import MissingInput
 from stages.shared.meshes.picture import two_sided_picture
 from stages.shared.meshes.raycast import RayScene
@@ -78,9 +78,13 @@ def run(
     workspace = Workspace(subject)
     registered, canonical = workspace.require(REGISTER_TEMPLATE), workspace.require(CANONICALIZE)
     body = BodyModel.from_arrays(registered.arrays("body"))
-    capture, take = template_take(workspace, registered, body)
+    capture, take = template_take(workspace, registered)
     frame = int(registered.summary["frame"])
-    inputs = {"register-template": registered, "canonicalize": canonical, **_files(capture, take, frame)}
+    inputs: dict[str, Artifact | ExternalFiles] = {
+        "register-template": registered,
+        "canonicalize": canonical,
+        **frame_files(capture, take, frame),
+    }
     found = None if force else workspace.find(SEGMENT_LAYERS, config, inputs)
     if found:
         report.say("segment-layers is up to date")
@@ -102,7 +106,9 @@ def run(
         for name, mesh in layers.items():
             add_colors(mesh, scene, take, frame)
             build.write_arrays(name, mesh, _ABOUT)
-        build.write_arrays("labels", {"labels": labels}, {"labels": "layer label ids of template vertices (V,)"})
+        build.write_arrays(
+            "labels", {"labels": labels}, {"labels": "layer label ids of template vertices (V,)"}
+        )
         build.write_picture("preview.png", _preview(template, labels))
         build.summary(**_summary(template, labels, source, layers, registered))
     summary = build.artifact.summary
@@ -128,16 +134,6 @@ def plan(subject: Path, config: SegmentLayersConfig = SegmentLayersConfig()) -> 
     )
 
 
-def template_take(
-    workspace: Workspace, registered: Artifact, body: BodyModel
-) -> tuple[Capture | None, Take | None]:
-    """The capture of the subject and the take that the template was made from; None for a lone mesh."""
-    if not workspace.settings().get("capture"):
-        return None, None
-    capture = open_subject_capture(workspace, body)
-    return capture, capture.take(str(registered.summary["take"]))
-
-
 def choose_labels(
     template: Template, take: Take | None, frame: int, config: SegmentLayersConfig
 ) -> tuple[np.ndarray, str]:
@@ -151,7 +147,9 @@ def choose_labels(
     if source == "auto":
         source = "images" if from_images else "scan"
     if source == "images" and take is not None and from_images:
-        votes = project_labels(template.world, template.normals, RayScene(template.world, template.faces), take, frame)
+        votes = project_labels(
+            template.world, template.normals, RayScene(template.world, template.faces), take, frame
+        )
         labels = label_vertices(
             template.world,
             template.faces,
@@ -167,7 +165,12 @@ def choose_labels(
     if source == "scan" and template.labels is not None and (template.labels != NO_LABEL).any():
         known = known_labels(template.world, template.labels)
         tidy = tidy_labels(
-            template.world, template.faces, known, GARMENT_LABELS, config.smallest_island_m2, config.smallest_share
+            template.world,
+            template.faces,
+            known,
+            GARMENT_LABELS,
+            config.smallest_island_m2,
+            config.smallest_share,
         )
         return tidy, source
     raise MissingInput(
@@ -183,28 +186,14 @@ def add_colors(mesh: dict[str, np.ndarray], scene: RayScene, take: Take | None, 
     if take is not None:
         normals = vertex_normals(mesh["world_vertices"], mesh["faces"])
         colors, confidence = layer_colors(mesh["world_vertices"], normals, mesh["labels"], scene, take, frame)
-        confidence = np.where(mesh["ring"] > 0, 0, confidence).astype(np.float32)
     else:
-        colors = mesh["scan_colors"].astype(np.float32) / 255
-        confidence = np.where((mesh["ring"] > 0) | (mesh["scan_seen"] == 0), 0, 0.5).astype(np.float32)
+        colors = mesh["scan_colors"].astype(np.float32) / np.float32(255)
+        confidence = np.float32(0.5) * mesh["scan_seen"].astype(np.float32)
+    confidence[mesh["ring"] > 0] = 0
     filled = fill_colors(mesh["vertices"], mesh["faces"], colors, confidence)
     mesh["colors"] = np.rint(255 * filled).astype(np.uint8)
     mesh["color_confidence"] = confidence
     del mesh["scan_colors"], mesh["scan_seen"]
-
-
-def _files(capture: Capture | None, take: Take | None, frame: int) -> dict[str, ExternalFiles]:
-    """The files of the capture that the result depends on."""
-    if capture is None or take is None:
-        return {}
-    views = [take.view(name, frame) for name in take.training_cameras if take.has_image(name, frame)]
-    groups = {
-        "capture/cameras": list(take.calibration_files),
-        "capture/images": [view.image for view in views],
-        "capture/masks": [view.mask for view in views],
-        "capture/labels": [view.labels for view in views if view.labels is not None],
-    }
-    return {name: ExternalFiles(name, capture.root, files) for name, files in groups.items() if files}
 
 
 def _scene_mesh(layers: dict[str, dict[str, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:

@@ -18,7 +18,8 @@ _LEAST = 0.05  # confidence below this comes from pixels that mix layers
 def has_label_images(take: Take, frame: int) -> bool:
     """Whether any training camera has a label image of the frame."""
     return any(
-        take.has_image(name, frame) and take.view(name, frame).labels is not None for name in take.training_cameras
+        take.has_image(name, frame) and take.view(name, frame).labels is not None
+        for name in take.training_cameras
     )
 
 
@@ -41,8 +42,12 @@ def layer_colors(
     confidence = np.zeros(len(points), np.float32)
     for label in np.unique(labels):
         chosen = np.flatnonzero(labels == label)
-        only = _OneLabel(**{field.name: getattr(take, field.name) for field in fields(Take)}, label=int(label))
-        colors[chosen], confidence[chosen] = project_colors(points[chosen], normals[chosen], occluder, only, frame)
+        only = _OneLabel(
+            **{field.name: getattr(take, field.name) for field in fields(Take)}, label=int(label)
+        )
+        colors[chosen], confidence[chosen] = project_colors(
+            points[chosen], normals[chosen], occluder, only, frame
+        )
     confidence[confidence < _LEAST] = 0
     return colors, confidence
 

@@ -28,15 +28,15 @@ class FieldConfig:
     Attributes:
         resolution: nodes along each axis of the box.
         margin: how far the box reaches beyond body and template.
-        band: nodes further than this from body and template are not computed. Diffusion goes through the band,
-            so it must bridge the gap between the legs.
+        band: nodes further than this from body and template are not computed. Diffusion goes through the
+            band, so it must bridge the gap between the legs.
         neighbours: K of the inverse-distance weights.
         spread: "nearest", "inverse" or "wide".
         iterations: 6-neighbour averaging steps of "inverse".
         reach_at_skin: smoothing length of "wide" on and under the skin.
         reach_per_distance: growth of that length per metre beyond `skin_distance`.
-        skin_distance: up to this far from the skin nothing but `reach_at_skin` smooths: tight cloth follows it.
-        hand_reach: points nearer than this to a hand take its vertices' weights: fingers are thinner than voxels.
+        skin_distance: up to this far from the skin only `reach_at_skin` smooths: tight cloth follows it.
+        hand_reach: points nearer to a hand take its vertices' weights: fingers are thinner than voxels.
         eye_reach: the same for the eyeballs, which nothing but themselves should follow.
     """
 
@@ -72,7 +72,7 @@ class BodyField:
     fine_reach: np.ndarray
 
     def sample(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Weights (N, J) ≥ 0 summing to 1, and rest-frame shape directions (N, 3, 10) metres, at points (N, 3)."""
+        """Weights (N, J) summing to 1 and rest-frame shape directions (N, 3, 10), metres, at points (N, 3)."""
         values = self._override(points, self.field.sample(points))
         weights = np.maximum(values[:, : self.joints], 0.0)
         weights /= np.maximum(weights.sum(axis=1, keepdims=True), 1e-12)
@@ -83,7 +83,7 @@ class BodyField:
         return self.sample(points)[0]
 
     def _override(self, points: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """Fade, within reach of hands and eyes, from the voxels to inverse-distance values of their vertices."""
+        """Fade, within reach of hands and eyes, from voxels to inverse-distance values of their vertices."""
         if not len(self.fine_vertices):
             return values
         tree = cKDTree(self.fine_vertices)
@@ -165,7 +165,9 @@ def _band(
     everything = np.concatenate([vertices, around])
     low, high = everything.min(axis=0) - config.margin, everything.max(axis=0) + config.margin
     centre = ((low + high) / 2).astype(np.float32).astype(np.float64)
-    half_extent = np.full(3, np.float64(np.float32((high - low).max() / 2)))  # a cube: equal pitch along all axes
+    half_extent = np.full(
+        3, np.float64(np.float32((high - low).max() / 2))
+    )  # a cube: equal pitch along all axes
     nodes = node_positions((config.resolution,) * 3, centre, half_extent)
     distance, _ = cKDTree(everything).query(nodes.reshape(-1, 3), distance_upper_bound=config.band)
     return np.isfinite(distance).reshape(nodes.shape[:3]), centre, half_extent, nodes
@@ -200,4 +202,3 @@ def _average_in_band(values: np.ndarray, band: np.ndarray, iterations: int) -> n
     field = VoxelField.from_band(values, band, np.zeros(3), np.ones(3))
     smooth = average_neighbours(field.dense, iterations)
     return np.moveaxis(smooth, 0, -1)[band].astype(np.float64)
-

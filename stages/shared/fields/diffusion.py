@@ -13,7 +13,6 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 
-
 def inverse_distance_matrix(
     tree: cKDTree, points: np.ndarray, neighbours: int = 30, clamp: float = 1e-4
 ) -> tuple[sparse.csr_matrix, np.ndarray, np.ndarray]:
@@ -67,7 +66,7 @@ def spread_wide(
 ) -> np.ndarray:
     """Smooth values over a band of grid nodes, each node over its own length.
 
-    Solves (1/ℓ²)(f − g) − Δf = 0 with natural boundaries, i.e. minimises Σ (f_i − f_j)²/h² + Σ (f_i − g_i)²/ℓ_i².
+    Solves (f − g)/ℓ² − Δf = 0 with natural boundaries: minimises Σ (f_i − f_j)²/h² + Σ (f_i − g_i)²/ℓ_i².
     The matrix is an M-matrix with unit row sums of its inverse times 1/ℓ², so every output is a convex
     combination of inputs: weights stay in [0, 1] and keep summing to 1.
 
@@ -115,8 +114,8 @@ def conjugate_gradient(
     """Solve matrix · x = right (M, C) for all channels at once; matrix symmetric positive definite.
 
     Diagonal preconditioning; every channel has its own step lengths and leaves when it is done: when its
-    residual has fallen below `tolerance` times the norm of the largest right-hand side. Works, and answers, in
-    the type of `right`.
+    residual has fallen below `tolerance` times the norm of the largest right-hand side. Works, and answers,
+    in the type of `right`.
     """
     matrix = matrix.astype(right.dtype)
     inverse_diagonal = (1.0 / matrix.diagonal())[:, None]
@@ -125,7 +124,9 @@ def conjugate_gradient(
     current, residual = solution.copy(), right - matrix @ solution
     direction = inverse_diagonal * residual
     product = _column_products(residual, direction)
-    limit = tolerance**2 * max(float(_column_products(right, inverse_diagonal * right).max(initial=0.0)), 1e-30)
+    limit = tolerance**2 * max(
+        float(_column_products(right, inverse_diagonal * right).max(initial=0.0)), 1e-30
+    )
     for _ in range(iterations):
         unfinished = product > limit
         if not unfinished.all():

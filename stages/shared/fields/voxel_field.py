@@ -86,7 +86,7 @@ class VoxelField:
         return total
 
     def to_arrays(self, prefix: str) -> dict[str, np.ndarray]:
-        """Arrays for an artifact: values (M, C), rows (D, H, W), box (2, 3) centre and half extent in metres."""
+        """Arrays for an artifact: values (M, C), rows (D, H, W), box (2, 3) of centre and half extent."""
         return {
             f"{prefix}.values": self.values,
             f"{prefix}.rows": self.rows,

@@ -83,7 +83,9 @@ def test_fingers_keep_their_own_weights_and_nothing_far_away_does() -> None:
 
 def test_same_input_same_bytes_and_arrays_round_trip() -> None:
     parts = two_legs(hand=True)
-    first, second = (build_body_field(*parts, parts[0], FieldConfig(resolution=20)).to_arrays() for _ in range(2))
+    first, second = (
+        build_body_field(*parts, parts[0], FieldConfig(resolution=20)).to_arrays() for _ in range(2)
+    )
     assert {name: array.tobytes() for name, array in first.items()} == {
         name: array.tobytes() for name, array in second.items()
     }

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from stages.shared.artifacts import Artifact
 from stages.shared.body import BodyModel, Poses, posed_from_canonical, skin
-from stages.shared.capture.camera import Camera
+from stages.shared.capture.camera import Box, Camera
 from stages.shared.capture.labels import NO_LABEL
 from stages.shared.meshes.raycast import RayScene
 
@@ -66,14 +66,34 @@ class Baseline:
         self, scene: RayScene, camera: Camera, supersampling: int
     ) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.uint8]]:
         """Picture (H, W, 3) u8 on black, alpha (H, W) f32 and label ids (H, W) u8 of a posed surface."""
-        fine = camera.scaled(supersampling)
-        hits = scene.render(fine)
+        picture = np.zeros((camera.height, camera.width, 3), np.uint8)
+        alpha = np.zeros((camera.height, camera.width), np.float32)
+        labels = np.full((camera.height, camera.width), NO_LABEL, np.uint8)
+        box = _box_of(scene, camera)
+        if box is None:
+            return picture, alpha, labels
+        part = np.s_[box[1] : box[3], box[0] : box[2]]
+        hits = scene.render(camera.crop(box).scaled(supersampling))
         color = _averaged(hits.interpolate(self.faces, self.colors), supersampling)
-        alpha = _averaged(hits.hit[..., None].astype(np.float32), supersampling)[..., 0]
+        picture[part] = np.clip(np.rint(color), 0, 255).astype(np.uint8)
+        alpha[part] = _averaged(hits.hit[..., None].astype(np.float32), supersampling)[..., 0]
         middle = supersampling // 2
-        labels = hits.largest_corner(self.faces, self.labels, outside=NO_LABEL)
-        picture = np.clip(np.rint(color), 0, 255).astype(np.uint8)
-        return picture, alpha, np.ascontiguousarray(labels[middle::supersampling, middle::supersampling])
+        ids = hits.largest_corner(self.faces, self.labels, outside=NO_LABEL)
+        labels[part] = ids[middle::supersampling, middle::supersampling]
+        return picture, alpha, labels
+
+
+def _box_of(scene: RayScene, camera: Camera) -> Box | None:
+    """The part of the image where the surface can be; None where it is out of sight."""
+    pixels, depth = camera.project(scene.vertices)
+    seen = pixels[depth > 0]
+    if not len(seen):
+        return None
+    low = np.floor(seen.min(axis=0)).astype(int) - 1
+    high = np.ceil(seen.max(axis=0)).astype(int) + 1
+    left, top = max(0, int(low[0])), max(0, int(low[1]))
+    right, bottom = min(camera.width, int(high[0])), min(camera.height, int(high[1]))
+    return (left, top, right, bottom) if right > left and bottom > top else None
 
 
 def _averaged(values: NDArray[np.float32], factor: int) -> NDArray[np.float32]:

@@ -1,0 +1,97 @@
+"""`gw evaluate`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from gw_cli.console import Console, command
+from gw_cli.options import DryRun, Json, Preset, preset_config
+from stages.shared.errors import UsageProblem
+
+
+def register(app: typer.Typer) -> None:
+    @app.command("evaluate")
+    @command
+    def evaluate(
+        subject: Annotated[
+            Path | None, typer.Argument(metavar="SUBJECT", help="Workspace folder of the subject.")
+        ] = None,
+        split: Annotated[
+            str, typer.Option(help="novel-pose, novel-view, or both with a comma.")
+        ] = "novel-pose,novel-view",
+        methods: Annotated[str, typer.Option(help="trained, baseline, or both.")] = "trained,baseline",
+        frame_step: Annotated[
+            int | None, typer.Option(min=1, help="Novel views: every so many-th training frame.")
+        ] = None,
+        test_frame_step: Annotated[
+            int | None, typer.Option(min=1, help="Novel poses: every so many-th test frame.")
+        ] = None,
+        frames: Annotated[
+            Path | None, typer.Option(help="Instead of a subject: output of gw render --cameras CAPTURE.")
+        ] = None,
+        truth: Annotated[
+            Path | None, typer.Option(help="With --frames: the capture that shows the same.")
+        ] = None,
+        output: Annotated[
+            Path | None, typer.Option("-o", "--output", help="Folder; default: SUBJECT/evaluation.")
+        ] = None,
+        preset: Preset = "draft",
+        dry_run: DryRun = False,
+        as_json: Json = False,
+    ) -> None:
+        """Score a trained subject on poses and views it has not seen, beside a baseline that learned nothing.
+
+        The baseline is the template with projected colours, moved by the bones. Figures over the foreground
+        come first; psnr and ssim over the whole picture are the ones that papers print. With --frames and
+        --truth, any rendered frames are scored against a capture.
+        """
+        from stages.evaluate.config import PRESETS
+
+        console = Console(as_json)
+        config = replace(preset_config(PRESETS, preset), splits=_names(split), methods=_names(methods))
+        if frame_step is not None:
+            config = replace(config, frame_step=frame_step)
+        if test_frame_step is not None:
+            config = replace(config, test_frame_step=test_frame_step)
+        if (frames is None) != (truth is None) or (frames is None) == (subject is None):
+            raise UsageProblem(
+                "It is not clear what to evaluate.",
+                "SUBJECT, --frames, --truth",
+                "Give a subject, or --frames DIR together with --truth CAPTURE.",
+            )
+        if frames is not None and truth is not None:
+            _frames_against_truth(console, frames, truth, output, config, dry_run)
+            return
+        assert subject is not None
+        from stages.evaluate import stage
+
+        if dry_run:
+            console.plan(stage.plan(subject, output, config))
+            return
+        result = stage.run(subject, output, config, console)
+        console.result(
+            {"path": result.path, **result.summary},
+            next_command=f"gw export-garment {subject} --layer lower -o lower.gwg",
+        )
+
+
+def _frames_against_truth(
+    console: Console, frames: Path, truth: Path, output: Path | None, config: Any, dry_run: bool
+) -> None:
+    from stages.evaluate import truth as truth_stage
+    from stages.shared.plan import Plan
+
+    folder = output or frames.parent / (frames.name + "_evaluation")
+    if dry_run:
+        console.plan(Plan(inputs=[str(frames), str(truth)], outputs=[str(folder / truth_stage.RESULT_NAME)]))
+        return
+    result = truth_stage.run(frames, truth, folder, config, console)
+    console.result({"path": result.path, **result.summary})
+
+
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(name.strip() for name in text.split(",") if name.strip())

@@ -1,0 +1,53 @@
+"""`gw export-garment`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gw_cli.console import Console, command
+from gw_cli.options import DryRun, Json, Preset, Subject, preset_config
+
+
+def register(app: typer.Typer) -> None:
+    @app.command("export-garment")
+    @command
+    def export_garment(
+        subject: Subject,
+        layer: Annotated[str, typer.Option(help="body | lower | upper | outer.")],
+        output: Annotated[
+            Path | None, typer.Option("-o", "--output", help="The file; default: LAYER.gwg.")
+        ] = None,
+        slots: Annotated[
+            str, typer.Option(help="Layers the garment takes up, e.g. lower,upper for a dress.")
+        ] = "",
+        note: Annotated[str, typer.Option(help="A sentence that goes into the file.")] = "",
+        preset: Preset = "draft",
+        dry_run: DryRun = False,
+        as_json: Json = False,
+    ) -> None:
+        """Put one trained layer into one file that anybody can wear.
+
+        The file holds numbers only: no code, no paths, no dates. `--layer body` gives the person without
+        clothes, who then wears garments in `gw tryon`.
+        """
+        from stages.export_garment import stage
+        from stages.export_garment.config import PRESETS
+
+        console = Console(as_json)
+        wanted = tuple(slot.strip() for slot in slots.split(",") if slot.strip())
+        config = replace(preset_config(PRESETS, preset), layer=layer, slots=wanted, note=note)
+        target = output or Path(f"{layer}.gwg")
+        if dry_run:
+            console.plan(stage.plan(subject, target, config))
+            return
+        result = stage.run(subject, target, config, console)
+        body = "body.gwg" if layer != "body" else str(result.path)
+        worn = str(result.path) if layer != "body" else "skirt.gwg"
+        console.result(
+            {"path": result.path, **result.summary},
+            next_command=f"gw tryon {body} {worn} --poses motion.npz -o tryon",
+        )

@@ -1,0 +1,136 @@
+"""Score rendered frames against a capture that shows the same: `gw evaluate --frames DIR --truth CAPTURE`.
+
+Reads:
+    DIR of `gw render --cameras CAPTURE`: result.json; frames/CAMERA/RRRRRR.png (H,W,4) u8 sRGB, straight
+    alpha, labels/CAMERA/RRRRRR.png (H,W) u8. The capture: images, masks, labels of the same frames.
+Writes, into the output folder:
+    evaluation.json: {"tryon_truth": {score: mean}}; views.json; tryon_truth_<n>.png.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from stages.evaluate.config import EvaluateConfig
+from stages.evaluate.gather import Gathered, comparison
+from stages.shared.artifacts.canonical import readable_json, strict_json
+from stages.shared.artifacts.files import write_file
+from stages.shared.artifacts.pictures import encode_png
+from stages.shared.capture import Take, open_capture
+from stages.shared.capture.images import decode, read_bytes
+from stages.shared.capture.labels import read_labels
+from stages.shared.errors import BadData, MissingInput
+from stages.shared.metrics.scores import ViewPair
+from stages.shared.outfit.sources import capture_take
+from stages.shared.pictures.folder import output_folder
+from stages.shared.pictures.sheet import chosen
+from stages.shared.report import SILENT, Report
+
+MARK = "gw-evaluation"
+RESULT_NAME = "evaluation.json"
+_SPLIT = "tryon_truth"
+
+
+@dataclass(frozen=True)
+class TruthResult:
+    """The folder, and the means."""
+
+    path: Path
+    summary: dict[str, Any]
+
+
+def run(
+    frames: Path,
+    truth: Path,
+    output: Path,
+    config: EvaluateConfig = EvaluateConfig(),
+    report: Report = SILENT,
+) -> TruthResult:
+    """Score every picture of `frames` that the capture `truth` also has.
+
+    Raises:
+        MissingInput: nothing in common, or no such folder. BadData: pictures of another size, damaged files.
+    """
+    started = time.monotonic()
+    shown = _rendered(frames)
+    take = capture_take(open_capture(truth), shown.get("take"))
+    names = set(take.cameras)
+    pairs = [(row, camera) for row in shown["frames"] for camera in shown["cameras"] if camera in names]
+    pairs = [(row, camera) for row, camera in pairs if take.has_image(camera, row)]
+    if not pairs:
+        raise MissingInput(
+            "The rendered frames and the capture have no picture in common.",
+            f"{frames}, {truth}",
+            f"Render with the capture's cameras: gw render … --cameras {truth}.",
+        )
+    gathered = Gathered()
+    report.step("scoring")
+    with output_folder(output, RESULT_NAME, MARK) as folder:
+        pictures = chosen(len(pairs), config.pictures)
+        for index, (row, camera) in enumerate(pairs):
+            view = _pair(frames, take, camera, row)
+            gathered.add("tryon", take.name, camera, row, row == shown["frames"][0], view)
+            if index in pictures:
+                picture = comparison(view.truth, view.truth_labels, {"tryon": view})
+                write_file(folder / f"{_SPLIT}_{pictures.index(index)}.png", encode_png(picture))
+            report.progress(index + 1, len(pairs))
+        summary: dict[str, Any] = {_SPLIT: gathered.means()["tryon"]}
+        summary["seconds"] = round(time.monotonic() - started, 1)
+        write_file(folder / "views.json", readable_json({_SPLIT: gathered.rows}))
+        content = {"format": MARK, "version": 1, "config": asdict(config), **summary}
+        write_file(folder / RESULT_NAME, readable_json(content))
+    return TruthResult(output, summary)
+
+
+def _rendered(frames: Path) -> dict[str, Any]:
+    """What the render wrote about itself."""
+    path = frames / "result.json"
+    try:
+        shown = strict_json(path.read_bytes())
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise MissingInput(
+            "This is no folder of rendered frames.",
+            str(path),
+            "Make one: gw render … --cameras CAPTURE -o DIR.",
+        ) from error
+    except ValueError as error:
+        raise BadData(f"It is not JSON ({error}).", str(path), "Render again.") from error
+    cameras = shown.get("cameras") if isinstance(shown, dict) else None
+    rows = shown.get("frames") if isinstance(shown, dict) else None
+    whole = isinstance(cameras, list) and all(isinstance(name, str) for name in cameras)
+    if not whole or not isinstance(rows, list) or not all(type(row) is int and row >= 0 for row in rows):
+        raise BadData("It does not list frames and cameras.", str(path), "Render with --cameras CAPTURE.")
+    if not shown.get("camera_folders"):
+        raise BadData(
+            "These frames were not rendered with a capture's cameras.",
+            str(path),
+            "Render with --cameras CAPTURE.",
+        )
+    return dict(shown)
+
+
+def _pair(frames: Path, take: Take, camera: str, row: int) -> ViewPair:
+    """One rendered picture beside the true one."""
+    path = frames / "frames" / camera / f"{row:06d}.png"
+    picture = decode(read_bytes(path), path, cv2.IMREAD_UNCHANGED)
+    if picture.ndim != 3 or picture.shape[2] != 4:
+        raise BadData("The frame has no alpha channel.", str(path), "Render again with gw render.")
+    truth = take.image(camera, row)
+    if picture.shape[:2] != truth.shape[:2]:
+        raise BadData(
+            f"The frame has {picture.shape[1]} x {picture.shape[0]} pixels, the truth {truth.shape[1]} x "
+            f"{truth.shape[0]}.",
+            str(path),
+            "Render again with the cameras of this capture.",
+        )
+    alpha = picture[..., 3].astype(np.float32) / 255
+    on_black = np.rint(picture[..., 2::-1] * alpha[..., None]).astype(np.uint8)
+    labels_path = frames / "labels" / camera / f"{row:06d}.png"
+    labels = read_labels(labels_path) if labels_path.is_file() else None
+    return ViewPair(on_black, alpha, truth, take.mask(camera, row), labels, take.labels(camera, row))

@@ -1,0 +1,56 @@
+"""Which views are scored: novel poses by the cameras that were learned from, novel views of learned poses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from stages.evaluate.config import EvaluateConfig
+from stages.shared.capture import Capture, Take
+from stages.shared.errors import MissingInput
+
+
+@dataclass(frozen=True, eq=False)
+class FrameViews:
+    """The views of one frame.
+
+    Attributes:
+        take, frame: of the capture. cameras: names with an image. first: whether it is the first of its take,
+            often the pose that was learned from.
+    """
+
+    take: Take
+    frame: int
+    cameras: tuple[str, ...]
+    first: bool
+
+
+def views_of(split: str, capture: Capture, training_take: str, config: EvaluateConfig) -> list[FrameViews]:
+    """The frames of a split ("novel-pose" or "novel-view"), in order; empty where the capture has none."""
+    if split == "novel-pose":
+        frames = [
+            _views(take, frame, take.training_cameras, index == 0)
+            for take in capture.test_takes
+            for index, frame in enumerate(take.frames[:: config.test_frame_step])
+        ]
+    else:
+        take = capture.take(training_take)
+        frames = [
+            _views(take, frame, take.heldout_cameras, index == 0)
+            for index, frame in enumerate(take.frames[:: config.frame_step])
+        ]
+    return [views for views in frames if views.cameras]
+
+
+def require_views(views: list[FrameViews], split: str, capture: Capture) -> None:
+    """Raise MissingInput where a split that was asked for has nothing to score."""
+    if not views:
+        lacking = "test take" if split == "novel-pose" else "held-out camera"
+        raise MissingInput(
+            f"The capture has no {lacking}, so there is nothing to score for {split}.",
+            str(capture.root),
+            "Choose the other split with --split.",
+        )
+
+
+def _views(take: Take, frame: int, cameras: tuple[str, ...], first: bool) -> FrameViews:
+    return FrameViews(take, frame, tuple(name for name in cameras if take.has_image(name, frame)), first)

@@ -1,0 +1,31 @@
+"""Settings of `gw export-garment`; light."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class ExportGarmentConfig:
+    """What goes into the bundle.
+
+    Attributes:
+        layer: "body", "lower", "upper" or "outer".
+        slots: layers the garment takes up; () for its own. A dress takes ("lower", "upper").
+        note: a sentence for people who get the file.
+        beneath: carry the form of the source's body beneath the garment, which other bodies take over.
+        beneath_frames: training poses over which that form is averaged.
+        preview_size: pixels, width and height of the picture inside.
+    """
+
+    layer: str = "lower"
+    slots: tuple[str, ...] = ()
+    note: str = ""
+    beneath: bool = True
+    beneath_frames: int = 8
+    preview_size: int = 256
+
+
+PRESETS: dict[str, ExportGarmentConfig] = {
+    name: ExportGarmentConfig() for name in ("tiny", "draft", "balanced", "paper")
+}

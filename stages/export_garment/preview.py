@@ -1,0 +1,31 @@
+"""The picture inside a bundle: the layer in the canonical pose, from the front and from the back."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from stages.shared.avatar.compose import compose
+from stages.shared.avatar.deform import pose_layer
+from stages.shared.outfit.layer import WornLayer
+from stages.shared.outfit.picture import take_picture
+from stages.shared.outfit.viewpoints import looking_camera
+
+_PAPER = (0.96, 0.96, 0.96)
+
+
+def preview_picture(layer: WornLayer, size: int) -> NDArray[np.uint8]:
+    """(size, size, 3) u8: front in the left half, back in the right one."""
+    still = torch.eye(4).expand(55, 4, 4)
+    with torch.no_grad():
+        attributes = layer.model(still)
+        composite = compose({layer.name: pose_layer(layer.maps, attributes, still, torch.zeros(10))})
+    means = composite.means.double().numpy()
+    low, high = means.min(axis=0), means.max(axis=0)
+    half = (float(high[0] - low[0]) / 2 + 0.03, float(high[1] - low[1]) / 2 + 0.03)
+    views = [
+        take_picture(composite, looking_camera("preview", (low + high) / 2, azimuth, half, (size // 2, size)))
+        for azimuth in (0.0, np.pi)
+    ]
+    return np.hstack([view.on(_PAPER) for view in views])

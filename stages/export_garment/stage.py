@@ -1,0 +1,215 @@
+"""Export one trained layer as a wardrobe bundle (`.gwg`).
+
+Reads:
+    register-template: `body.safetensors` body model; `smpl_params.npz` betas and poses.
+    bake-maps: `<layer>.safetensors`. train: `<layer>.safetensors`, `model.json`.
+Writes:
+    one `.gwg` file: maps, model, betas, preview; a body also its body model; a garment also the form of the
+    source's body beneath it (offsets (K,3) f32 m and quaternions (K,4) f32 per covered texel). No dates, no
+    paths: two exports of the same training are the same bytes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from stages.export_garment.config import ExportGarmentConfig
+from stages.export_garment.preview import preview_picture
+from stages.pipeline import BAKE_MAPS, REGISTER_TEMPLATE, TRAIN
+from stages.shared.artifacts import Artifact, Workspace
+from stages.shared.artifacts.bundle import Bundle, write_bundle
+from stages.shared.avatar.maps import LayerMaps
+from stages.shared.avatar.pose import frame_pose
+from stages.shared.body import BodyModel, Poses
+from stages.shared.capture.labels import LAYERS
+from stages.shared.errors import MissingInput, UsageProblem
+from stages.shared.outfit.layer import WornLayer, layer_of_training
+from stages.shared.outfit.swap import beneath_texels
+from stages.shared.plan import Plan
+from stages.shared.poses.read import load_poses
+from stages.shared.report import SILENT, Report
+
+_UNITS = {"length": "metre", "angle": "radian", "color": "sRGB 0..1"}
+_FRAMES = {
+    "maps": "canonical pose (hips +-25 degrees about z, wrists -90 about x), zero shape, y up, facing +z",
+    "model": "LayerModel: base attributes per texel and networks on the posed positional map",
+}
+# Of the body model, what posing Gaussians and reading pose files needs; correctives are left out.
+_BODY_ARRAYS = (
+    "template_vertices",
+    "faces",
+    "shape_directions",
+    "joint_regressor",
+    "skin_weights",
+    "hand_components_left",
+    "hand_components_right",
+    "hand_mean_left",
+    "hand_mean_right",
+)
+
+
+@dataclass(frozen=True)
+class ExportGarmentResult:
+    """The file, the digest that names its content, and a few numbers."""
+
+    path: Path
+    digest: str
+    summary: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class _Source:
+    registered: Artifact
+    baked: Artifact
+    trained: Artifact
+
+
+def run(
+    subject: Path,
+    output: Path,
+    config: ExportGarmentConfig = ExportGarmentConfig(),
+    report: Report = SILENT,
+) -> ExportGarmentResult:
+    """Write the bundle of one layer to `output`.
+
+    Raises:
+        MissingInput: a stage has not run, or the subject has no such layer. UsageProblem: impossible slots.
+        StorageFailure: disk full; nothing half-written is left.
+    """
+    config = replace(config, slots=checked_slots(config))
+    source = _open(subject)
+    names = _layers(source)
+    if config.layer not in names:
+        raise MissingInput(
+            f"This subject has no layer {config.layer!r}.",
+            str(subject),
+            "Choose one of: " + ", ".join(names) + ".",
+        )
+    report.step(f"exporting {config.layer}")
+    body = BodyModel.from_arrays(source.registered.arrays("body.safetensors"))
+    poses = load_poses(source.registered.file("smpl_params.npz"), body)
+    layer = layer_of_training(config.layer, source.baked, source.trained)
+    arrays = {f"maps/{name}": array for name, array in layer.maps.arrays().items()}
+    arrays |= {f"model/{name}": tensor.numpy() for name, tensor in layer.model.state().items()}
+    arrays["betas"] = poses.betas
+    arrays["preview"] = preview_picture(layer, config.preview_size)
+    if config.layer == "body":
+        arrays |= {f"body/{k}": v for k, v in body.to_arrays().items() if k in _BODY_ARRAYS}
+    elif config.beneath and "body" in names:
+        arrays |= form_beneath(layer, source, body, poses, config.beneath_frames)
+    manifest = _manifest(config, layer, source, body.digest)
+    digest = write_bundle(output, Bundle(manifest, arrays))
+    size = output.stat().st_size
+    report.say(f"{output}: {len(layer.maps)} Gaussians, {size / 2**20:.1f} MiB")
+    summary = {
+        "layer": config.layer,
+        "slots": list(config.slots),
+        "gaussians": len(layer.maps),
+        "bytes": size,
+        "digest": digest,
+    }
+    return ExportGarmentResult(output, digest, summary)
+
+
+def plan(subject: Path, output: Path, config: ExportGarmentConfig = ExportGarmentConfig()) -> Plan:
+    """What `run` would read, write and cost."""
+    source = _open(subject)
+    checked_slots(config)
+    texels = int(source.baked.summary["texels"].get(config.layer, 0))
+    return Plan(
+        inputs=[str(part.path) for part in (source.registered, source.baked, source.trained)],
+        outputs=[str(output)],
+        config=asdict(config),
+        seconds=3.0,
+        memory_bytes=400_000_000 + 2000 * texels,
+        disk_bytes=500 * texels + (9_000_000 if config.layer == "body" else 1_000_000),
+    )
+
+
+def checked_slots(config: ExportGarmentConfig) -> tuple[str, ...]:
+    """The slots of a bundle, inner to outer: those asked for, or the layer's own.
+
+    Raises:
+        UsageProblem: no such layer or slot, or slots without the layer itself.
+    """
+    if config.layer not in LAYERS:
+        raise UsageProblem(
+            f"There is no layer called {config.layer!r}.",
+            "option --layer",
+            "Choose " + ", ".join(LAYERS) + ".",
+        )
+    if config.layer == "body":
+        if config.slots:
+            raise UsageProblem("A body takes no slots.", "option --slots", "Leave --slots out.")
+        return ()
+    slots = config.slots or (config.layer,)
+    unknown = [slot for slot in slots if slot not in LAYERS[1:]]
+    if unknown or config.layer not in slots:
+        raise UsageProblem(
+            f"A garment of the layer {config.layer} cannot take the slots {', '.join(slots)}.",
+            "option --slots",
+            f"Name {config.layer} and whatever else it covers of {', '.join(LAYERS[1:])}.",
+        )
+    return tuple(slot for slot in LAYERS[1:] if slot in slots)
+
+
+@torch.no_grad()
+def form_beneath(
+    garment: WornLayer, source: _Source, body_model: BodyModel, poses: Poses, frames: int
+) -> dict[str, np.ndarray]:
+    """`swap/…` arrays: the source's body beneath the garment, averaged over training poses."""
+    body = layer_of_training("body", source.baked, source.trained)
+    texels = beneath_texels(body.maps, garment.maps)
+    offsets = torch.zeros(len(texels), 3)
+    quaternions = torch.zeros(len(texels), 4)
+    chosen = np.unique(np.linspace(0, len(poses) - 1, frames).astype(int))
+    for frame in chosen:
+        rotations, translation = poses.rotations[frame], poses.translation[frame]
+        pose = frame_pose(body_model, *(torch.from_numpy(a) for a in (rotations, translation, poses.betas)))
+        attributes = body.model(pose.local_transforms)
+        offsets += attributes.offsets[texels] / len(chosen)
+        turned = attributes.quaternions[texels]
+        # q and −q are one rotation: add them up on one side.
+        quaternions += torch.where((turned * quaternions).sum(1, keepdim=True) < 0, -turned, turned)
+    return {
+        "swap/texels": body.maps.texels[texels].numpy().astype(np.int32),
+        "swap/offsets": offsets.numpy(),
+        "swap/quaternions": torch.nn.functional.normalize(quaternions, dim=1).numpy(),
+    }
+
+
+def _open(subject: Path) -> _Source:
+    workspace = Workspace(subject)
+    return _Source(*(workspace.require(spec) for spec in (REGISTER_TEMPLATE, BAKE_MAPS, TRAIN)))
+
+
+def _layers(source: _Source) -> list[str]:
+    trained = source.trained.json("model.json")["layers"]
+    return [name for name in LAYERS if name in trained]
+
+
+def _manifest(
+    config: ExportGarmentConfig, layer: WornLayer, source: _Source, body_digest: str
+) -> dict[str, Any]:
+    maps: LayerMaps = layer.maps
+    return {
+        "kind": "body" if config.layer == "body" else "garment",
+        "layer": config.layer,
+        "slots": list(config.slots),
+        "body_model": {"digest": body_digest, "convention": "SMPL-X", "joints": 55, "betas": 10},
+        "grid": {"pitch": maps.pitch, "centre": list(maps.centre), "size": maps.grid_size},
+        "units": _UNITS,
+        "frames": _FRAMES,
+        "model": layer.model.config,
+        "training": {
+            "source": source.trained.digest,
+            "config": source.trained.config,
+            "scores": source.trained.summary,
+        },
+        "note": config.note,
+    }

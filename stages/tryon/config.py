@@ -1,0 +1,40 @@
+"""Settings of `gw tryon`; light."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class TryonConfig:
+    """How an outfit is worn and shown.
+
+    Attributes:
+        betas: up to ten shape coefficients "0.5,-1", "" for the body bundle's own.
+        frames: rows of the pose file "START:END:STEP", "" for all.
+        fps: resample the motion to this rate; 0 keeps its own.
+        camera: "static" or "orbit". width, height: pixels.
+        background: white, black, grey or #rrggbb, behind film and contact sheet.
+        swap: beneath a garment, give the body the form of the garment's own source.
+        penetration: repair pixels where an inner layer pokes through a garment.
+        passes: of "labels", "depth", "layers".
+    """
+
+    betas: str = ""
+    frames: str = ""
+    fps: float = 0.0
+    camera: str = "static"
+    width: int = 480
+    height: int = 640
+    background: str = "white"
+    swap: bool = True
+    penetration: bool = True
+    passes: tuple[str, ...] = ()
+
+
+PRESETS: dict[str, TryonConfig] = {
+    "tiny": TryonConfig(width=120, height=160),
+    "draft": TryonConfig(),
+    "balanced": TryonConfig(width=720, height=960),
+    "paper": TryonConfig(width=1024, height=1024),
+}

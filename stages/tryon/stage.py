@@ -1,0 +1,115 @@
+"""Try-on: a body wears garments of other people, in a new motion.
+
+Reads:
+    bundles `.gwg`: one body, any garments; a pose file (npz of SMPL-X or AMASS, BVH).
+Writes, into the output folder:
+    frames/, tryon.mp4 (or .webm), contact_sheet.png, passes as `stages/shared/outfit/reel.py` says;
+    result.json: layers, bundles by digest, betas, repaired pixels by pair of layers, swapped texels, seconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from stages.shared.artifacts.canonical import readable_json
+from stages.shared.artifacts.files import write_file
+from stages.shared.body import Poses
+from stages.shared.outfit.outfit import Outfit, outfit_of_bundles
+from stages.shared.outfit.penetration import PenetrationConfig
+from stages.shared.outfit.reel import ReelConfig, ReelFrame, check_passes, write_reel
+from stages.shared.outfit.sources import parse_background, parse_betas, parse_frames, read_bundles
+from stages.shared.outfit.viewpoints import viewpoint_cameras
+from stages.shared.pictures.folder import check_output, output_folder
+from stages.shared.plan import Plan
+from stages.shared.poses.read import load_poses
+from stages.shared.report import SILENT, Report
+from stages.tryon.config import TryonConfig
+
+MARK = "gw-tryon"
+RESULT_NAME = "result.json"
+
+
+@dataclass(frozen=True)
+class TryonResult:
+    """The folder, and what happened."""
+
+    path: Path
+    summary: dict[str, Any]
+
+
+def run(
+    bundles: Sequence[Path],
+    poses_path: Path,
+    output: Path,
+    config: TryonConfig = TryonConfig(),
+    report: Report = SILENT,
+) -> TryonResult:
+    """Dress, pose, render and write.
+
+    Raises:
+        UsageProblem: no body or two, two garments for one slot, an output folder that holds something else.
+        MissingInput, BadData: bundles and poses. StorageFailure: disk full; nothing half-written is left.
+    """
+    reel = _reel_config(config)
+    check_output(output, RESULT_NAME, MARK)
+    report.step("reading the bundles")
+    named = read_bundles(bundles)
+    outfit = outfit_of_bundles(named, parse_betas(config.betas), config.swap)
+    poses = load_poses(poses_path, outfit.body_model, config.fps or None)
+    frames = _frames(outfit, poses, config)
+    report.say(f"{' < '.join(outfit.names)}: {outfit.gaussians} Gaussians, {len(frames)} frames")
+    report.step("rendering")
+    with output_folder(output, RESULT_NAME, MARK) as folder:
+        reel_summary = write_reel(folder, outfit, poses, frames, reel, report)
+        summary = {
+            "layers": list(outfit.names),
+            "gaussians": outfit.gaussians,
+            "bundles": {bundle.layer: bundle.digest for _, bundle in named},
+            "betas": [round(float(value), 6) for value in outfit.betas],
+            "swapped_texels": {change.garment: change.count for change in outfit.swaps},
+            **reel_summary.as_dict(),
+        }
+        shown = {"fps": poses.fps, "frames": [frame.row for frame in frames], "config": asdict(config)}
+        content = {"format": MARK, "version": 1, **shown, **summary}
+        write_file(folder / RESULT_NAME, readable_json(content))
+    return TryonResult(output, summary)
+
+
+def plan(
+    bundles: Sequence[Path], poses_path: Path, output: Path, config: TryonConfig = TryonConfig()
+) -> Plan:
+    """What `run` would read, write and cost."""
+    _reel_config(config)
+    outfit = outfit_of_bundles(read_bundles(bundles), parse_betas(config.betas), config.swap)
+    poses = load_poses(poses_path, outfit.body_model, config.fps or None)
+    count = len(parse_frames(config.frames, len(poses)))
+    pixels = config.width * config.height
+    return Plan(
+        inputs=[*map(str, bundles), str(poses_path)],
+        outputs=[str(output / name) for name in ("frames", "contact_sheet.png", RESULT_NAME)],
+        config={**asdict(config), "layers": list(outfit.names)},
+        seconds=3.0 + count * (0.08 + 3e-6 * outfit.gaussians + 5e-7 * pixels),
+        memory_bytes=600_000_000 + 3000 * outfit.gaussians + 200 * pixels,
+        disk_bytes=int(count * pixels * 0.4),
+    )
+
+
+def _reel_config(config: TryonConfig) -> ReelConfig:
+    check_passes(config.passes)
+    return ReelConfig(
+        background=parse_background(config.background),
+        passes=config.passes,
+        penetration=PenetrationConfig() if config.penetration else None,
+        film="tryon",
+    )
+
+
+def _frames(outfit: Outfit, poses: Poses, config: TryonConfig) -> list[ReelFrame]:
+    """Rows of the motion, each with its camera."""
+    rows = parse_frames(config.frames, len(poses))
+    size = (config.width, config.height)
+    cameras = viewpoint_cameras(config.camera, outfit.body_model, poses[rows], outfit.betas, size)
+    return [ReelFrame(row, (camera,)) for row, camera in zip(rows, cameras, strict=True)]

@@ -69,16 +69,17 @@ def open_vest(mean: ShapedBody, spacing: float) -> Cut:
         neckline = 0.108 - np.linalg.norm((points - throat) * (1.0, 0.85, 1.0), axis=1)
         gap = 0.045 + 0.05 * np.clip((points[:, 1] - hem) / (shoulder[1] - hem), 0.0, 1.0)
         front = np.where(points[:, 2] > throat[2] - 0.04, gap - side, -1.0)
-        # The arm hole: a slanted plane that leaves the top of the shoulder covered.
-        arm = side - (shoulder[0] - 0.012 - 0.10 * np.clip(points[:, 1] - shoulder[1] + 0.02, -0.3, 0.1))
+        # The arm hole: a slanted plane that leaves the top of the shoulder covered, and ends under the arm.
+        slope = np.clip(points[:, 1] - shoulder[1] + 0.02, -0.2, 0.1)
+        under_arm = np.maximum(shoulder[1] - 0.19 - points[:, 1], 0.0)
+        arm = side - (shoulder[0] - 0.012 - 0.10 * slope + 1.5 * under_arm)
         return np.maximum.reduce([hem - points[:, 1], neckline, front, arm])
 
     wide = shoulder[0] + 0.14
     grid = _grid(mean, (-wide, hem - 0.06, -0.34), (wide, neck[1] + 0.16, 0.36), spacing)
     vertices, faces = shell(grid, offset, outside)
     near_neck = np.linalg.norm((vertices - throat) * (1.0, 0.85, 1.0), axis=1)
-    behind = vertices[:, 2] < throat[2] + 0.02
-    pinned = np.where(behind, np.clip(1.0 - (near_neck - 0.108) / 0.03, 0.0, 1.0), 0.0) * 0.6
+    pinned = np.clip(1.0 - (near_neck - 0.108) / 0.04, 0.0, 1.0) * 0.6
     return Cut(vertices, faces, _torso_uv(vertices, faces, mean, np.inf), pinned)
 
 

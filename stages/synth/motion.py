@@ -38,7 +38,7 @@ def training_motion(seconds: float) -> Angles:
     _add(pose, _twist(t, 1.65, 2.75))
     _add(pose, _raise_arms(t, 2.45, 3.65))
     _add(pose, _squat(t, 3.4, 4.6))
-    turn = 360.0 * _ease((t - 3.8) / 1.5)
+    turn = 360.0 * _ease((t - 3.0) / 2.3)
     _add(pose, {"pelvis": np.array([0.0, turn, 0.0])})
     return pose
 
@@ -121,8 +121,8 @@ def _twist(t: float, start: float, end: float) -> Angles:
 def _raise_arms(t: float, start: float, end: float) -> Angles:
     up = _bump(t, start, end)
     return {
-        "left_shoulder": up * np.array([0, -10, 80.0]),
-        "right_shoulder": up * np.array([0, 10, -80.0]),
+        "left_shoulder": up * np.array([0, -10, 70.0]),
+        "right_shoulder": up * np.array([0, 10, -70.0]),
         "left_collar": up * np.array([0, 0, 14.0]),
         "right_collar": up * np.array([0, 0, -14.0]),
         "head": up * np.array([-8.0, 0, 0]),

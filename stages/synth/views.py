@@ -22,8 +22,8 @@ LIGHTS = np.array(
 )
 SKY, GROUND = 0.42, 0.20
 RADIUS = 3.3
-LOOK_AT = np.array([0.0, 1.0, 0.0])
-FOCAL = 1.40  # focal length over image size
+LOOK_AT = np.array([0.0, 1.06, 0.0])
+FOCAL = 1.28  # focal length over image size
 
 
 @dataclass(frozen=True, eq=False)

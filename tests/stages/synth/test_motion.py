@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from stages.shared.body import JOINT_INDEX, embedded_body
 from stages.synth import motion
 from stages.synth.bodies import PERSON_1, PERSON_2, ShapedBody, betas_of
+from stages.synth.views import camera_ring
 
 MOTIONS = {
     "training": (motion.training_motion, motion.TRAINING_SECONDS),
@@ -73,6 +74,20 @@ def test_the_two_people_differ_and_stand_on_the_floor() -> None:
     poses = motion.poses_of(motion.training_motion, 40, bodies[1])
     lowest = bodies[1].animate(poses)[:, :, 1].min(axis=1)
     assert np.abs(lowest).max() < 0.003
+
+
+@pytest.mark.parametrize("name", MOTIONS)
+def test_every_camera_sees_the_whole_person(name: str) -> None:
+    model = embedded_body()
+    body = ShapedBody(model, betas_of(model, PERSON_2))  # the larger one
+    moves, seconds = MOTIONS[name]
+    poses = motion.poses_of(moves, round(seconds * motion.FPS), body)
+    cameras, _ = camera_ring(8, 100)
+    for points in body.animate(poses[::8]):
+        for camera in cameras:
+            pixels, _ = camera.project(points)
+            assert pixels.min() > 1.0
+            assert pixels.max() < 99.0
 
 
 def _waist(body: ShapedBody) -> float:

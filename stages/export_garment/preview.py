@@ -23,7 +23,8 @@ def preview_picture(layer: WornLayer, size: int) -> NDArray[np.uint8]:
         composite = compose({layer.name: pose_layer(layer.maps, attributes, still, torch.zeros(10))})
     means = composite.means.double().numpy()
     low, high = means.min(axis=0), means.max(axis=0)
-    half = (float(high[0] - low[0]) / 2 + 0.03, float(high[1] - low[1]) / 2 + 0.03)
+    width, height, depth = (high - low).tolist()
+    half = (width / 2 + 0.03, height / 2 + 0.03, depth / 2)
     views = [
         take_picture(composite, looking_camera("preview", (low + high) / 2, azimuth, half, (size // 2, size)))
         for azimuth in (0.0, np.pi)

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from stages.shared.avatar.deform import Attributes
 from stages.shared.avatar.maps import LayerMaps
-from stages.shared.outfit.coverage import covered_weights, same_grid
+from stages.shared.outfit.coverage import FEATHER, covered_weights, same_grid
 from stages.shared.outfit.layer import WornLayer
 
 
@@ -39,14 +39,14 @@ class Swap:
         return int((self.weights > 0).sum())
 
 
-def plan_swap(body: WornLayer, garment: WornLayer) -> Swap | None:
+def plan_swap(body: WornLayer, garment: WornLayer, feather: float = FEATHER) -> Swap | None:
     """The swap that a garment brings, or None: learned together, nothing carried, or another grid."""
     beneath = garment.beneath
     if beneath is None or (garment.source and garment.source == body.source):
         return None
     if not same_grid(body.maps, garment.maps):
         return None
-    weights = torch.from_numpy(covered_weights(body.maps, garment.maps))
+    weights = torch.from_numpy(covered_weights(body.maps, garment.maps, feather))
     size = body.maps.grid_size
     carried = _numbers(beneath.texels, size)
     place = torch.searchsorted(carried, body.maps.pixel_ids()).clamp(max=len(carried) - 1)

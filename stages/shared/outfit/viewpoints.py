@@ -14,7 +14,7 @@ from stages.shared.errors import UsageProblem
 
 KINDS = ("static", "orbit")
 _FIELD_OF_VIEW = np.deg2rad(30.0)  # of the longer side
-_MARGIN = 0.28  # metres of body, hair and cloth beyond the joints
+_MARGIN = 0.2  # metres of body, hair and cloth beyond the joints
 _TILT = 0.08  # metres above the middle per metre of distance
 _CHUNK = 2048
 
@@ -59,17 +59,21 @@ def viewpoint_cameras(
 
 
 def looking_camera(
-    name: str, target: NDArray[np.float64], azimuth: float, half: tuple[float, float], size: tuple[int, int]
+    name: str,
+    target: NDArray[np.float64],
+    azimuth: float,
+    half: tuple[float, float, float],
+    size: tuple[int, int],
 ) -> Camera:
-    """A camera that sees a box of half width and half height `half` (m) around `target` (3,) m.
+    """A camera that sees a box of half width, half height and half depth `half` (m) around `target` (3,) m.
 
     Arguments:
         azimuth: radians from +z towards +x: where the camera stands. size: width, height in pixels.
     """
     width, height = size
     focal = 0.5 * max(width, height) / np.tan(_FIELD_OF_VIEW / 2)
-    # The box may be as deep as it is wide: its near side must fit as well.
-    distance = max(half[0] * focal / (width / 2), half[1] * focal / (height / 2)) + half[0]
+    # The near side of the box must fit as well.
+    distance = max(half[0] * focal / (width / 2), half[1] * focal / (height / 2)) + half[2]
     away = np.array([np.sin(azimuth), _TILT, np.cos(azimuth)])
     centre = np.asarray(target) + distance * away
     forward = (np.asarray(target) - centre) / np.linalg.norm(np.asarray(target) - centre)
@@ -106,18 +110,21 @@ def _facing(poses: Poses) -> float:
 
 def _box(
     points: NDArray[np.float64], facing: float | None
-) -> tuple[NDArray[np.float64], tuple[float, float]]:
-    """Middle (3,) and half width and height of a box around points, with a margin.
+) -> tuple[NDArray[np.float64], tuple[float, float, float]]:
+    """Middle (3,) and half width, height and depth of a box around points, with a margin.
 
-    The width is that seen from `facing`, or from anywhere when it is None.
+    Width and depth are those seen from `facing`, or the largest from anywhere when it is None.
     """
     low, high = points.min(axis=0), points.max(axis=0)
     middle = (low + high) / 2
-    half_height = (high[1] - low[1]) / 2 + _MARGIN
+    half_height = float(high[1] - low[1]) / 2 + _MARGIN
     if facing is None:
-        return middle, (float(np.linalg.norm(points[:, [0, 2]], axis=1).max()) + _MARGIN, float(half_height))
+        reach = float(np.linalg.norm(points[:, [0, 2]], axis=1).max()) + _MARGIN
+        return middle, (reach, half_height, reach)
     across = (points - middle) @ np.array([np.cos(facing), 0, -np.sin(facing)])
-    return middle, (float(np.abs(across).max()) + _MARGIN, float(half_height))
+    along = (points - middle) @ np.array([np.sin(facing), 0, np.cos(facing)])
+    half_width, half_depth = (float(np.abs(side).max()) + _MARGIN for side in (across, along))
+    return middle, (half_width, half_height, half_depth)
 
 
 def _smooth(path: NDArray[np.float64], window: int) -> NDArray[np.float64]:

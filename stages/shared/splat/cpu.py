@@ -212,7 +212,7 @@ class _Rasterize(torch.autograd.Function):
     """Pictures (B, 1 + L, H, W, ...) of checked float32 inputs."""
 
     @staticmethod
-    def forward(  # type: ignore[override]
+    def forward(
         ctx: Any,
         sizes: Sizes,
         layer_ids: Tensor | None,
@@ -274,8 +274,9 @@ class _Rasterize(torch.autograd.Function):
         return (None, None, *outgoing, g_viewmats, g_Ks, g_background)
 
 
-def _gaussians(inputs: list[Tensor | None]) -> Gaussians:
-    return Gaussians(*(None if x is None else x.detach().numpy().reshape(-1) for x in inputs))
+def _gaussians(inputs: list[Any]) -> Gaussians:
+    arrays: list[Any] = [None if x is None else x.detach().numpy().reshape(-1) for x in inputs]
+    return Gaussians(*arrays)
 
 
 def render_scene(scene: Scene) -> Rendering:

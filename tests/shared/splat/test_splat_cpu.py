@@ -1,0 +1,118 @@
+"""The CPU backend against the float64 reference: pictures to 1e-5, gradients to 1e-4."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from stages.shared.splat import reference
+from stages.shared.splat.kernels import layout
+from tests.shared.splat.scenes import FIELDS, avatar_case, compare, random_case
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_random_scenes(seed):
+    compare(random_case(seed))
+
+
+@pytest.mark.parametrize("channels", [0, 1, 4, 7, 11])
+def test_any_number_of_channels(channels):
+    compare(random_case(20 + channels, n=60, channels=channels))
+
+
+def test_many_gaussians_on_a_surface():
+    compare(avatar_case(1))
+
+
+def test_covariances_instead_of_quaternions_and_scales():
+    case = random_case(5)
+    assert case.quats is not None and case.scales is not None
+    compare(replace(case, covars=reference.covariances(case.quats, case.scales), quats=None, scales=None))
+
+
+def test_antialiased():
+    compare(replace(random_case(6), antialiased=True))
+
+
+def test_layers_in_one_traversal():
+    compare(random_case(7, n=150, layers=3))
+
+
+def test_layers_of_an_opaque_surface():
+    case = avatar_case(2, n=1500, size=40)
+    compare(replace(case, layer_ids=torch.arange(1500, dtype=torch.int32) % 2, layers=2))
+
+
+def test_batched_cameras():
+    compare(random_case(8, cameras=3))
+
+
+def test_batched_cameras_with_layers():
+    compare(random_case(9, n=80, cameras=2, layers=2))
+
+
+def test_longer_lists_than_one_stretch():
+    """More Gaussians over one tile than the kernel takes at a time, faint so that nothing stops early."""
+    case = random_case(10, n=900, width=18, height=18)
+    compare(replace(case, opacities=0.02 + 0.02 * case.opacities, means=case.means * 0.2, scales=case.scales * 0.3))
+
+
+def test_eight_lanes(monkeypatch):
+    monkeypatch.setattr(layout, "host_lanes", lambda: 8)
+    compare(random_case(11))
+    compare(random_case(12, n=80, layers=2))
+
+
+@pytest.mark.parametrize("layers", [0, 2])
+def test_median_depth(layers):
+    case = random_case(13, layers=layers)
+    for a, b in zip(
+        case.to(torch.float64).render("reference", median_depth=True),
+        case.render("cpu", median_depth=True),
+        strict=True,
+    ):
+        assert a.median_depth is not None and b.median_depth is not None
+        same = (a.median_depth - b.median_depth).abs() < 1e-4
+        assert same.float().mean() > 0.995  # a transmittance at 0.5 may fall to either side
+        assert (a.median_depth > 0).any()
+
+
+def test_layers_equal_separate_renderings():
+    case = random_case(14, n=200, layers=3)
+    assert case.layer_ids is not None
+    together = case.render("cpu")
+    whole = replace(case, layers=0)
+    apart = [whole.render("cpu")[0]]
+    for layer in range(3):
+        rows = case.layer_ids == layer
+        names = ("means", "quats", "scales", "opacities", "colors")
+        apart.append(replace(whole, **{k: getattr(case, k)[rows] for k in names}).render("cpu")[0])
+    for a, b in zip(together, apart, strict=True):
+        for field in FIELDS:
+            assert torch.equal(getattr(a, field), getattr(b, field))
+
+
+def test_gradients_match_finite_differences_in_a_smooth_scene():
+    """Independent of the reference: a step along the gradient changes the loss as predicted."""
+    case = replace(random_case(15, n=12, width=24, height=20), background=None)
+    # Wide and in the middle: no pixel is near a cut-off.
+    case = replace(
+        case, means=0.1 * case.means, scales=0.8 + case.scales, opacities=0.2 + 0.3 * case.opacities
+    )
+    g = torch.Generator().manual_seed(1)
+    weight = torch.randn(20, 24, 3, generator=g, dtype=torch.float64)
+
+    def loss(c):
+        return (c.render("cpu")[0].features.double() * weight).sum()
+
+    leaves = case.with_gradients()
+    grads = torch.autograd.grad(loss(leaves), list(leaves.parameters().values()))
+    for (name, value), grad in zip(case.parameters().items(), grads, strict=True):
+        step = 2e-3 * grad / grad.norm().clamp_min(1e-12)
+        if name == "viewmats":
+            step[3] = 0
+        change = loss(replace(case, **{name: value + step})) - loss(replace(case, **{name: value - step}))
+        predicted = 2 * (grad.double() * step.double()).sum()
+        assert change.item() == pytest.approx(predicted.item(), rel=0.03), name

@@ -90,7 +90,7 @@ def run(
     if found:
         report.say("bake-maps is up to date")
         return BakeMapsResult(found, found.summary)
-    with workspace.build(BAKE_MAPS, config, inputs) as build:
+    with workspace.build(BAKE_MAPS, config, inputs, force) as build:
         meshes = {name: segmented.arrays(name) for name in segmented.summary["layers"]}
         grid = Grid.around(canonical.arrays("body")["vertices"], config.pitch, config.extent_m)
         everything = _world_scene(meshes)

@@ -76,7 +76,7 @@ def run(
     if found:
         report.say("canonicalize is up to date")
         return CanonicalizeResult(found, found.summary)
-    with workspace.build(CANONICALIZE, config, inputs) as build:
+    with workspace.build(CANONICALIZE, config, inputs, force) as build:
         template = registered.arrays("template")
         body = BodyModel.from_arrays(registered.arrays("body"))
         pose = load_poses(registered.file("smpl_params.npz"))[int(registered.summary["frame"])]

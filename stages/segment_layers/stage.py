@@ -89,7 +89,7 @@ def run(
     if found:
         report.say("segment-layers is up to date")
         return SegmentLayersResult(found, found.summary)
-    with workspace.build(SEGMENT_LAYERS, config, inputs) as build:
+    with workspace.build(SEGMENT_LAYERS, config, inputs, force) as build:
         template = Template.load(registered.arrays("template"), canonical.arrays("template"))
         pose = load_poses(registered.file("smpl_params.npz"))[frame]
 

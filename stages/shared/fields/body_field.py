@@ -72,7 +72,7 @@ class BodyField:
     fine_reach: np.ndarray
 
     def sample(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Weights (N, J) summing to 1 and rest-frame shape directions (N, 3, 10), metres, at points (N, 3)."""
+        """Weights (N, J) summing to 1 and rest-frame shape directions (N, 3, 10), m, at points (N, 3)."""
         values = self._override(points, self.field.sample(points))
         weights = np.maximum(values[:, : self.joints], 0.0)
         weights /= np.maximum(weights.sum(axis=1, keepdims=True), 1e-12)

@@ -34,7 +34,7 @@ def register(app: typer.Typer) -> None:
         take: Annotated[str, typer.Option(help="With --cameras: which take of the capture.")] = "",
         layers: Annotated[str, typer.Option(help="Only these layers, e.g. body,lower.")] = "",
         betas: Annotated[str, typer.Option(help="Another body shape: up to ten numbers, 0.5,-1.2.")] = "",
-        frames: Annotated[str, typer.Option(help="Only these rows of the motion: START:END:STEP.")] = "",
+        frames: Annotated[str, typer.Option(help="Only these rows of the motion, as a slice: 10:90:2.")] = "",
         fps: Annotated[float, typer.Option(min=0, help="Frames per second; 0 keeps the motion's own.")] = 0.0,
         width: Annotated[int | None, typer.Option(min=16, max=8192, help="Pixels.")] = None,
         height: Annotated[int | None, typer.Option(min=16, max=8192, help="Pixels.")] = None,

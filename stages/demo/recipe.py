@@ -115,7 +115,7 @@ def _learn(subject: str, config: DemoConfig) -> list[DemoStep]:
         DemoStep(
             "evaluate",
             "Held-out poses and the held-out camera, beside the template that learned nothing.",
-            ("evaluate", subject, "-o", f"evaluation/{subject}"),
+            ("evaluate", subject, "-o", f"evaluation/{subject}", *preset),
             (f"evaluation/{subject}",),
             (f"evaluation/{subject}/*.png",),
             subject,
@@ -137,17 +137,18 @@ def _exchange(config: DemoConfig) -> list[DemoStep]:
         for subject, layer, name in (
             ("subject_1", "lower", "skirt"),
             ("subject_2", "upper", "shirt"),
+            ("subject_2", "outer", "vest"),
             ("subject_2", "body", "body_2"),
         )
     ]
-    outfit = ("wardrobe/body_2.gwg", "wardrobe/shirt.gwg", "wardrobe/skirt.gwg")
+    outfit = tuple(f"wardrobe/{name}.gwg" for name in ("body_2", "shirt", "vest", "skirt"))
     motion = ("--poses", "synthetic/motions/held_out.npz")
     return [
         *exports,
         DemoStep(
             "tryon",
             "Subject 2 in subject 1's skirt, in a motion neither was trained on.",
-            ("tryon", *outfit, *motion, "-o", "tryon"),
+            ("tryon", *outfit, *motion, "-o", "tryon", "--preset", config.preset),
             ("tryon/result.json",),
             ("tryon/*.mp4", "tryon/*.webm", "tryon/contact_sheet.png"),
         ),

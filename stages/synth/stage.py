@@ -30,7 +30,7 @@ from stages.synth.bodies import PERSON_1, PERSON_2, Person, ShapedBody, betas_of
 from stages.synth.cloth import cloth_model, stretch_of
 from stages.synth.config import SynthConfig
 from stages.synth.dressed import Bound, accessories, look_of, vertices_at
-from stages.synth.garments import LOWER, UPPER, Garment, Pattern, fit, wardrobe
+from stages.synth.garments import LOWER, Garment, Pattern, fit, wardrobe
 from stages.synth.simulate import simulate
 from stages.synth.truth import garment_truth, scan
 from stages.synth.views import Scene, camera_ring
@@ -122,7 +122,7 @@ def run(output: Path, config: SynthConfig = SynthConfig(), report: Report = SILE
 
 
 def outfits(mean: ShapedBody, config: SynthConfig) -> tuple[Outfit, Outfit, Outfit]:
-    """Subject 1, subject 2, and subject 2 in its own T-shirt and subject 1's skirt."""
+    """Subject 1, subject 2, and subject 2 with subject 1's skirt in place of its trousers."""
     patterns_1, patterns_2 = wardrobe(mean, config.cloth_spacing, config.seed)
     spacing = float(np.clip(0.6 * config.cloth_spacing, 0.008, 0.016))
 
@@ -133,8 +133,9 @@ def outfits(mean: ShapedBody, config: SynthConfig) -> tuple[Outfit, Outfit, Outf
 
     first, second = dressed(PERSON_1, patterns_1), dressed(PERSON_2, patterns_2)
     skirt = fit(next(pattern for pattern in patterns_1 if pattern.label == LOWER), mean, second.body)
-    upper = next(garment for garment in second.garments if garment.label == UPPER)
-    return first, second, replace(second, garments=[skirt, upper])
+    # The vest stays on: no camera ever saw the shirt beneath it, so nobody could have learned it.
+    own = [garment for garment in second.garments if garment.label != LOWER]
+    return first, second, replace(second, garments=[skirt, *own])
 
 
 def _simulated(job: Job, config: SynthConfig) -> Take:

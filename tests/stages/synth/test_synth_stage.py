@@ -35,7 +35,7 @@ MICRO = SynthConfig(
 GARMENTS = {
     ("subject_1", "train"): {"lower", "upper"},
     ("subject_2", "train"): {"lower", "upper", "outer"},
-    ("tryon_truth", "held_out"): {"lower", "upper"},
+    ("tryon_truth", "held_out"): {"lower", "upper", "outer"},
 }
 
 

@@ -7,13 +7,13 @@ come out whatever the number of threads.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
 from stages.shared.errors import BadData
 from stages.shared.splat.kernels import layout
@@ -208,6 +208,18 @@ def view_backward(
     return shares.reshape(turns, projection.CAMERA_GRADIENTS).sum(0)
 
 
+class _OnceOnly(torch.autograd.Function):
+    """Hands the first `count` tensors on; what they came from follows. Differentiating them is refused."""
+
+    @staticmethod
+    def forward(ctx: Any, count: int, *tensors: Tensor | None) -> tuple[Tensor | None, ...]:
+        return tuple(None if x is None else x.view_as(x) for x in tensors[:count])
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> Any:
+        raise RuntimeError("Splatting has no second derivatives: call backward without create_graph.")
+
+
 class _Rasterize(torch.autograd.Function):
     """Pictures (B, 1 + L, H, W, ...) of checked float32 inputs."""
 
@@ -226,10 +238,7 @@ class _Rasterize(torch.autograd.Function):
         Ks: Tensor,
         background: Tensor | None,
     ) -> tuple[Tensor, ...]:
-        inputs = [
-            None if x is None else x.contiguous()
-            for x in (means, quats, scales, covars, opacities, colors, layer_ids)
-        ]
+        inputs = (means, quats, scales, covars, opacities, colors, layer_ids)
         gaussians = _gaussians(inputs)
         shape = (len(viewmats), 1 + (sizes.layers or 0), sizes.height, sizes.width)
         features, alpha, depth = torch.empty((*shape, sizes.channels)), torch.empty(shape), torch.empty(shape)
@@ -249,13 +258,20 @@ class _Rasterize(torch.autograd.Function):
         return features, alpha, depth, median
 
     @staticmethod
-    @once_differentiable
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
+        with torch.no_grad():
+            found = _Rasterize._backward(ctx, grads)
+        if not torch.is_grad_enabled():
+            return found
+        return (None, None, *_OnceOnly.apply(len(found) - 2, *found[2:], *grads, *ctx.saved_tensors[:6]))
+
+    @staticmethod
+    def _backward(ctx: Any, grads: tuple[Tensor, ...]) -> tuple[Tensor | None, ...]:
         sizes, views = ctx.sizes, ctx.views
         *inputs, features, alpha, depth = ctx.saved_tensors
         gaussians = _gaussians(inputs)
         incoming = [x.contiguous() for x in grads[:3]]
-        outgoing = [None if x is None else torch.empty_like(x) for x in inputs[:6]]
+        outgoing = [None if x is None else torch.empty(x.shape) for x in inputs[:6]]
         arrays = [None if x is None else x.numpy().reshape(-1) for x in outgoing]
         g_viewmats, g_Ks = torch.zeros(len(views), 4, 4), torch.zeros(len(views), 3, 3)
         for i, view in enumerate(views):
@@ -274,8 +290,8 @@ class _Rasterize(torch.autograd.Function):
         return (None, None, *outgoing, g_viewmats, g_Ks, g_background)
 
 
-def _gaussians(inputs: list[Any]) -> Gaussians:
-    arrays: list[Any] = [None if x is None else x.detach().numpy().reshape(-1) for x in inputs]
+def _gaussians(inputs: Iterable[Tensor | None]) -> Gaussians:
+    arrays: list[Any] = [None if x is None else x.detach().contiguous().numpy().reshape(-1) for x in inputs]
     return Gaussians(*arrays)
 
 

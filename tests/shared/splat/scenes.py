@@ -86,7 +86,13 @@ def pinhole(width: int, height: int, focal: float) -> Tensor:
 
 
 def random_case(
-    seed: int, n: int = 120, channels: int = 3, width: int = 41, height: int = 35, cameras: int = 0, layers: int = 0
+    seed: int,
+    n: int = 120,
+    channels: int = 3,
+    width: int = 41,
+    height: int = 35,
+    cameras: int = 0,
+    layers: int = 0,
 ) -> Case:
     """Gaussians of mixed size, shape and opacity, some outside the picture and behind the camera."""
     g = torch.Generator().manual_seed(seed)
@@ -158,7 +164,9 @@ def settled_pixels(case: Case, band: float = 1e-4) -> Tensor:
     found = []
     for view in views:
         settings = SplatSettings(antialiased=case.antialiased)
-        g = reference.project(case.means, covars, case.opacities, view, case.Ks, case.width, case.height, settings)
+        g = reference.project(
+            case.means, covars, case.opacities, view, case.Ks, case.width, case.height, settings
+        )
         dx, dy = (pixels[:, None] - g.centers[None]).unbind(-1)
         xx, xy, yy = g.conics.unbind(-1)
         raw = g.opacities * torch.exp(-0.5 * (xx * dx * dx + yy * dy * dy) - xy * dx * dy)

@@ -56,7 +56,11 @@ def test_batched_cameras_with_layers():
 def test_longer_lists_than_one_stretch():
     """More Gaussians over one tile than the kernel takes at a time, faint so that nothing stops early."""
     case = random_case(10, n=900, width=18, height=18)
-    compare(replace(case, opacities=0.02 + 0.02 * case.opacities, means=case.means * 0.2, scales=case.scales * 0.3))
+    compare(
+        replace(
+            case, opacities=0.02 + 0.02 * case.opacities, means=case.means * 0.2, scales=case.scales * 0.3
+        )
+    )
 
 
 def test_eight_lanes(monkeypatch):

@@ -97,7 +97,9 @@ def test_alpha_is_clamped_and_a_pixel_stops(backend):
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_median_depth(backend):
     depths = [[0.0, 0, 2.0], [0, 0, 3.0], [0, 0, 4.0]]
-    picture = one(depths, [0.6, 0.9, 1.2], [0.3, 0.4, 0.9], [[1.0]] * 3, backend, size=(9, 9), median_depth=True)
+    picture = one(
+        depths, [0.6, 0.9, 1.2], [0.3, 0.4, 0.9], [[1.0]] * 3, backend, size=(9, 9), median_depth=True
+    )
     assert picture.median_depth is not None
     assert picture.median_depth[4, 4].item() == pytest.approx(3.0)  # 0.7 -> 0.42
     alone = one([0.0, 0, 2.0], 0.6, 0.3, [1.0], backend, size=(9, 9), median_depth=True)
@@ -135,7 +137,9 @@ def test_gradients_match_finite_differences(form):
 
     def run(means, quats, scales, covars, opacities, colors, pose, lens, background):
         view = torch.cat([pose, torch.tensor([[0.0, 0, 0, 1]], dtype=D)])
-        intrinsics = torch.zeros(3, 3, dtype=D).index_put((torch.tensor([0, 1, 0, 1]), torch.tensor([0, 1, 2, 2])), lens)
+        intrinsics = torch.zeros(3, 3, dtype=D).index_put(
+            (torch.tensor([0, 1, 0, 1]), torch.tensor([0, 1, 2, 2])), lens
+        )
         if form == "covars":
             quats = scales = None
             covars = covars + covars.mT

@@ -340,8 +340,10 @@ def _project_lanes(table, place, camera, covars, width, height):
     _set(table, _OUT + VY, place, root(HALF_LOG2E / yy))
     _set(table, _OUT + LOG_OPACITY, place, log_opacity)
     _set(table, _OUT + DEPTH, place, z)
-    _set(table, _O_LEFT, place, where(_acceptable(table, place, covars), where(seen, left, 1.0), 2.0))
-    _set(table, _O_RIGHT, place, where(seen, right, 0.0))
+    # left > right says unseen; left = 2 as well, refused.
+    fine = _acceptable(table, place, covars)
+    _set(table, _O_LEFT, place, where(fine, where(seen, left, 1.0), 2.0))
+    _set(table, _O_RIGHT, place, where(fine & seen, right, 0.0))
     _set(table, _O_TOP, place, top)
     _set(table, _O_BOTTOM, place, bottom)
 

@@ -129,7 +129,7 @@ def _pair(frames: Path, take: Take, camera: str, row: int) -> ViewPair:
             str(path),
             "Render again with the cameras of this capture.",
         )
-    alpha = picture[..., 3].astype(np.float32) / 255
+    alpha = (picture[..., 3] / 255).astype(np.float32)
     on_black = np.rint(picture[..., 2::-1] * alpha[..., None]).astype(np.uint8)
     labels_path = frames / "labels" / camera / f"{row:06d}.png"
     labels = read_labels(labels_path) if labels_path.is_file() else None

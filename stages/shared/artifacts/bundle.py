@@ -189,8 +189,11 @@ def _checked_header(header: bytes, data_bytes: int, where: str) -> None:
         if not isinstance(entry, dict) or entry.get("dtype") not in _DTYPES:
             raise _refused(f"a tensor is not of the types {', '.join(_DTYPES)}", at)
         shape = entry.get("shape")
-        sides = isinstance(shape, list) and all(type(side) is int and 0 <= side <= MAX_SIDE for side in shape)
-        if not sides or len(shape) > MAX_RANK:
+        if (
+            not isinstance(shape, list)
+            or len(shape) > MAX_RANK
+            or not all(type(side) is int and 0 <= side <= MAX_SIDE for side in shape)
+        ):
             raise _refused(f"the shape {str(shape)[:80]} is not possible", at)
         offsets = entry.get("data_offsets")
         if not isinstance(offsets, list) or not all(type(o) is int and 0 <= o <= data_bytes for o in offsets):

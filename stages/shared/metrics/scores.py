@@ -67,13 +67,14 @@ def view_scores(view: ViewPair) -> Scores:
     """
     inside = view.mask > MASK_THRESHOLD
     outside = ~inside[..., None]
-    on_white = [np.where(outside, np.uint8(255), picture) for picture in (view.prediction, view.truth)]
+    prediction_on_white = np.where(outside, np.uint8(255), view.prediction)
+    truth_on_white = np.where(outside, np.uint8(255), view.truth)
     scores: Scores = dict.fromkeys(NAMES)
     scores |= {
         "psnr_foreground": psnr(view.prediction, view.truth, inside),
         "ssim_foreground": ssim_in_box(view.prediction, view.truth, inside),
-        "psnr": psnr(*on_white),
-        "ssim": ssim(*on_white, window="uniform"),
+        "psnr": psnr(prediction_on_white, truth_on_white),
+        "ssim": ssim(prediction_on_white, truth_on_white, window="uniform"),
         "iou": iou(view.alpha > 0.5, inside),
         "sharpness": sharpness(view.prediction, view.truth, inside),
     }

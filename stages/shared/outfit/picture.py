@@ -18,7 +18,7 @@ from stages.shared.splat.api import rasterize, rasterize_layers
 from stages.shared.splat.rendering import Rendering
 
 Floats = NDArray[np.float32]
-_LABEL_ALPHA = 0.1  # thinner than this shows the background (the published protocol)
+_LABEL_ALPHA = 0.5  # thinner than this counts as background, for labels as for silhouettes
 
 
 @dataclass(frozen=True, eq=False)

@@ -55,7 +55,14 @@ class Console:
         eta = (total - done) / rate if rate > 0 else float("nan")
         shown = "  ".join(f"{name} {value:.4g}" for name, value in numbers.items())
         text = f"  {self._step} {done}/{total}  {rate:.2f}/s  left {eta:.0f} s  {shown}".rstrip()
-        event = {"event": "progress", "step": self._step, "done": done, "total": total, "rate": rate, **numbers}
+        event = {
+            "event": "progress",
+            "step": self._step,
+            "done": done,
+            "total": total,
+            "rate": rate,
+            **numbers,
+        }
         if self._terminal and not self.as_json:
             sys.stderr.write("\r\x1b[2K" + text)
             sys.stderr.flush()
@@ -168,7 +175,9 @@ def _storage_failure(error: OSError) -> GwError:
     if error.errno == errno.ENOSPC:
         return StorageFailure("The disk is full.", where, "Free some space and run the same command again.")
     reason = error.strerror or str(error)
-    return StorageFailure(f"Reading or writing failed: {reason}.", where, "Check the path and its permissions.")
+    return StorageFailure(
+        f"Reading or writing failed: {reason}.", where, "Check the path and its permissions."
+    )
 
 
 def _our_bug(error: Exception) -> GwError:

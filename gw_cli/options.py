@@ -26,6 +26,8 @@ def preset_config(presets: dict[str, Config], name: str) -> Config:
     """The preset called `name`, or a usage error that lists the ones there are."""
     if name not in presets:
         raise UsageProblem(
-            f"There is no preset called {name!r}.", "option --preset", "Choose one of: " + ", ".join(presets) + "."
+            f"There is no preset called {name!r}.",
+            "option --preset",
+            "Choose one of: " + ", ".join(presets) + ".",
         )
     return presets[name]

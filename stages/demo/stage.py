@@ -45,7 +45,9 @@ class StepFailed(GwError):
     """A command of the demo failed; its own three lines are passed on."""
 
     def __init__(self, step: DemoStep, exit_code: int, message: str) -> None:
-        super().__init__(f"The step `{step.command}` failed.", message, "Run that command by itself to see more.")
+        super().__init__(
+            f"The step `{step.command}` failed.", message, "Run that command by itself to see more."
+        )
         self.exit_code = exit_code
 
 

@@ -32,10 +32,11 @@ class LossWeights:
 
 @dataclass(frozen=True)
 class LearningRates:
-    """Adam's step sizes: of the networks, and of the free attributes per texel in their own units."""
+    """Adam's step sizes: of the networks, the anchors (m), the attributes per texel (their own units)."""
 
     network: float = 2e-3
-    offset: float = 2e-4
+    anchors: float = 4e-4
+    offset: float = 1e-4
     quaternion: float = 2e-3
     opacity: float = 2e-2
     scale: float = 5e-3
@@ -92,18 +93,21 @@ _ECONOMY = LossWeights(
     flow=2.0,
     covered_skin=0.02,
 )
-DRAFT = TrainConfig(weights=_ECONOMY)
+DRAFT = TrainConfig(weights=_ECONOMY, model=ModelConfig(anchors=40))
 PRESETS: dict[str, TrainConfig] = {
     "tiny": replace(
         DRAFT,
         steps=20,
         views_per_step=2,
         image_scale=0.5,
-        model=ModelConfig(width=0.0625, depth=2, style=16, factor=4),
+        model=ModelConfig(width=0.0625, depth=2, style=16, factor=4, anchors=8),
     ),
     "draft": DRAFT,
     "balanced": replace(
-        DRAFT, steps=8000, frame_step=2, model=ModelConfig(width=0.25, depth=5, style=64, factor=2)
+        DRAFT,
+        steps=8000,
+        frame_step=2,
+        model=ModelConfig(width=0.25, depth=5, style=64, factor=2, anchors=100),
     ),
     "paper": TrainConfig(
         steps=300_000,

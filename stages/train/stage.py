@@ -13,7 +13,7 @@ Writes:
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -167,8 +167,10 @@ def _trainer(source: _Source, config: TrainConfig, device: torch.device) -> Trai
             "Register the subject again with `gw register-template`.",
         )
     views = TrainingViews(source.take, poses, body, list(maps))
+    frames = len(views.frames(config.frame_step))
+    shape = replace(config.model, anchors=min(config.model.anchors, frames))
     models = {
-        name: LayerModel(layer.to(device), config.model, seed=config.seed + index).to(device)
+        name: LayerModel(layer.to(device), shape, seed=config.seed + index).to(device)
         for index, (name, layer) in enumerate(maps.items())
     }
     return Trainer(config, models, views, device)

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import torch
@@ -18,12 +18,13 @@ from stages.shared.avatar.model import LayerModel
 from stages.shared.avatar.pose import FramePose, frame_pose
 from stages.shared.errors import BadData
 from stages.train import schedule
-from stages.train.config import LossWeights, TrainConfig
+from stages.train.config import LearningRates, LossWeights, TrainConfig
 from stages.train.data import StepChoice, TrainingViews, choose
 from stages.train.objective import Surfaces, picture_terms, surface_terms, weighted
 
 _ADAM_EPSILON = 1e-15  # gradients of single Gaussians are tiny; the usual 1e-8 would drown them
 _LATER_KINDS = ("quaternion", "opacity", "scale", "color")  # free attributes that wait for full-size pictures
+_RATES = tuple(field.name for field in fields(LearningRates))
 _EYE_NOISE = 0.1  # m, keeps colours from memorising the training cameras' directions
 _OFFSETS = torch.tensor([1.0] * 3 + [0.0] * 11)
 _LEAVES = ("means", "covariances", "opacities", "features")
@@ -197,8 +198,9 @@ def _adam(config: TrainConfig, models: dict[str, LayerModel]) -> torch.optim.Ada
     """Adam with one group per kind of parameter."""
     groups: dict[str, list[torch.nn.Parameter]] = {}
     for name, parameter in _named_parameters(models):
-        kind = name.split(".")[1]
-        kind = kind.removeprefix("base_") if kind.startswith("base_") else "network"
+        kind = name.split(".")[1]  # base_<attribute>, anchors, or a part of the networks
+        kind = kind.removeprefix("base_") if kind.startswith("base_") else kind
+        kind = kind if kind in _RATES else "network"
         groups.setdefault(kind, []).append(parameter)
     return torch.optim.Adam(
         [

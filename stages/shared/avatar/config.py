@@ -18,6 +18,9 @@ class ModelConfig:
         input_views: "front" or "both".
         normalise: the network sees how far a pose departs from the mean training pose, in units of the usual
             departure (`LayerModel.fit_input`), instead of positions in metres.
+        anchors: poses whose offsets are learned freely and blended by likeness, for garments (the body
+            follows its bones); 0 for none. At most the number of training frames. anchor_cell: texels per
+            cell of their coarse maps.
         base: learn free attributes per texel beside the networks.
         color: "sigmoid" bounds colours to 0..1, "linear" leaves them unbounded (published).
         view_conditioning: colours see the cosine between normal and viewing direction (separate heads only).
@@ -31,6 +34,8 @@ class ModelConfig:
     factor: int = 4
     input_views: str = "both"
     normalise: bool = True
+    anchors: int = 0
+    anchor_cell: int = 4
     base: bool = True
     color: str = "sigmoid"
     view_conditioning: bool = False

@@ -18,6 +18,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from stages.shared.avatar.anchors import AnchorOffsets, sampled_maps
 from stages.shared.avatar.config import ModelConfig
 from stages.shared.avatar.deform import Attributes, unit_quaternions
 from stages.shared.avatar.maps import LayerMaps
@@ -74,6 +75,11 @@ class LayerModel(nn.Module):
         # Zero departure and unit scale until `fit_input` has seen the training poses.
         self.register_buffer("input_mean", torch.zeros(1, self.positional.channels, grid.height, grid.width))
         self.register_buffer("input_scale", torch.ones(1))
+        self.anchors = None
+        if config.anchors > 0 and maps.layer != "body":
+            size = tuple(math.ceil(s * config.factor / config.anchor_cell) for s in (grid.height, grid.width))
+            described = self.positional.channels * len(self.positional.used)
+            self.anchors = AnchorOffsets(config.anchors, size, described)  # type: ignore[arg-type]
         self.cosines = CosineMaps(maps, grid) if config.view_conditioning else None
         for name, start in _start(maps, config).items():
             if config.base:
@@ -122,19 +128,20 @@ class LayerModel(nn.Module):
         return {name: getattr(self, f"base_{name}") for name in CHANNELS}
 
     def fit_input(self, poses: list[Tensor]) -> None:
-        """Normalise the network's input by training poses, each (55, 4, 4) as in `residual`.
+        """Look at the training poses, each (55, 4, 4) as in `residual`, before training starts.
 
-        The mean is per pixel, the scale one number, so that still parts stay small beside moving ones. Does
-        nothing without `normalise`.
+        With `normalise`, the mean of the input is taken per pixel and its scale as one number, so that still
+        parts stay small beside moving ones. Anchors are chosen among the poses.
         """
-        if not self.model_config.normalise or not poses:
-            return
         images = torch.cat([self.positional(pose) for pose in poses])
-        mean = images.mean(dim=0, keepdim=True)
-        used = (images != 0).any(dim=0).any(dim=0)  # (h, w) pixels with texels
-        departure = (images - mean)[:, :, used]
-        self.input_mean.copy_(mean)
-        self.input_scale.copy_(departure.square().mean().sqrt().clamp(min=_LEAST_DEPARTURE))
+        if self.model_config.normalise:
+            mean = images.mean(dim=0, keepdim=True)
+            departure = (images - mean).flatten(start_dim=2)[:, :, self.positional.used]
+            self.input_mean.copy_(mean)
+            self.input_scale.copy_(departure.square().mean().sqrt().clamp(min=_LEAST_DEPARTURE))
+        if self.anchors is not None:
+            seen = (images - self.input_mean) / self.input_scale
+            self.anchors.fit(torch.stack([self._description(image[None]) for image in seen]))
 
     def residual(self, local_transforms: Tensor, cosines: Tensor | None = None) -> Tensor:
         """Pose-dependent part (N, 14) of the channels above, raw network output.
@@ -144,7 +151,7 @@ class LayerModel(nn.Module):
         """
         image = (self.positional(local_transforms) - self.input_mean) / self.input_scale
         if self.model_config.heads == "joint":
-            return self._sampled(self.networks[0](image)[0])
+            return self._with_anchors(self._sampled(self.networks[0](image)[0]), image)
         features = None
         if self.view_net is not None and self.cosines is not None and cosines is not None:
             front, back = self.view_net(self.cosines(cosines))
@@ -152,7 +159,8 @@ class LayerModel(nn.Module):
         color = self._sampled(self.networks[0](image, features)[0])
         offset = self._sampled(self.networks[1](image)[0])
         other = self._sampled(self.networks[2](image)[0])
-        return torch.cat((offset, other[:, 4:8], other[:, 0:1], other[:, 1:4], color), dim=1)
+        joined = torch.cat((offset, other[:, 4:8], other[:, 0:1], other[:, 1:4], color), dim=1)
+        return self._with_anchors(joined, image)
 
     def attributes(self, residual: Tensor) -> Attributes:
         """Base attributes plus a residual (N, 14), through the heads' activations."""
@@ -170,20 +178,24 @@ class LayerModel(nn.Module):
             colors=torch.sigmoid(color) if config.color == "sigmoid" else color,
         )
 
+    def _sampled(self, images: Tensor) -> Tensor:
+        """Maps (2, C, h, w) of the window at every texel (N, C)."""
+        return sampled_maps(images, self.sample_points, self._views)
+
+    def _with_anchors(self, residual: Tensor, image: Tensor) -> Tensor:
+        """Add the anchors' offsets for the pose of the input image (1, C, h, w) to a residual (N, 14)."""
+        if self.anchors is None:
+            return residual
+        offsets = self._sampled(self.anchors(self._description(image))) / self.model_config.offset_scale
+        return torch.cat((residual[:, :3] + offsets, residual[:, 3:]), dim=1)
+
+    def _description(self, image: Tensor) -> Tensor:
+        """What tells poses apart: the input image (1, C, h, w) where there are texels, (M,)."""
+        return image.flatten(start_dim=2)[0][:, self.positional.used].flatten()
+
     def forward(self, local_transforms: Tensor, cosines: Tensor | None = None) -> Attributes:
         """Attributes in a pose; arguments as in `residual`."""
         return self.attributes(self.residual(local_transforms, cosines))
-
-    def _sampled(self, output: Tensor) -> Tensor:
-        """Network output (2, C, h, w) at every texel (N, C), bilinear."""
-        values = output.new_zeros(len(self.maps), output.shape[1])
-        for view, member in enumerate(self._views):
-            points = self.sample_points[member][None, None]
-            found = functional.grid_sample(
-                output[view : view + 1], points, mode="bilinear", padding_mode="border", align_corners=False
-            )
-            values = values.index_put((member.nonzero()[:, 0],), found[0, :, 0].T)
-        return values
 
 
 def _sample_points(maps: LayerMaps, grid: Any) -> Tensor:

@@ -50,6 +50,7 @@ class PositionalMaps(nn.Module):
     """
 
     cells: Tensor  # (M,) int64, pixels of the input image that have texels
+    used: Tensor  # (K,) int64, pixels that have texels in any view that is shown
     positions: Tensor  # (M, 3) m
     weights: Tensor  # (M, 55)
     centre: Tensor  # (3,) m
@@ -63,6 +64,8 @@ class PositionalMaps(nn.Module):
         used = torch.ones_like(view, dtype=torch.bool) if input_views == "both" else view == 0
         cells, member = torch.unique((view * grid.height * grid.width + cell)[used], return_inverse=True)
         self.register_buffer("cells", cells, persistent=False)
+        pixels = torch.unique(cells % (grid.height * grid.width))
+        self.register_buffer("used", pixels, persistent=False)
         self.register_buffer(
             "positions", _mean_by(member, maps.positions[used], len(cells)), persistent=False
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import pytest
 import torch
@@ -70,10 +71,12 @@ def test_published_model_is_called_by_its_sizes() -> None:
     assert (grid.height, grid.width) == (512, 512)
 
 
-@pytest.mark.parametrize("config", [SMALL, SEPARATE])
+@pytest.mark.parametrize("config", [SMALL, SEPARATE, replace(SMALL, anchors=3)])
 def test_state_round_trip_is_exact(config: ModelConfig) -> None:
-    maps = tube()
-    model = _learned(LayerModel(maps, config, seed=5))
+    maps = tube("upper")
+    model = LayerModel(maps, config, seed=5)
+    model.fit_input([_pose(angle) for angle in (-0.4, 0.0, 0.4)])
+    _learned(model)
     settings = json.loads(json.dumps(model.config))
     again = LayerModel.from_state(settings, maps, model.state())
     first, second = model(_pose(0.4)), again(_pose(0.4))
@@ -107,6 +110,20 @@ def test_output_follows_the_pose_and_every_parameter_gets_a_gradient() -> None:
         for name, parameter in model.named_parameters():
             assert parameter.grad is not None and torch.isfinite(parameter.grad).all(), name
             assert parameter.grad.abs().sum() > 0, name
+
+
+def test_anchors_move_garments_in_the_poses_they_belong_to() -> None:
+    config = replace(SMALL, anchors=2)
+    assert LayerModel(tube(), config).anchors is None, "the body follows its bones"
+    model = LayerModel(tube("upper"), config)
+    model.fit_input([_pose(-0.5), _pose(0.5)])
+    assert model.anchors is not None
+    with torch.no_grad():
+        model.anchors.offsets[1, 2] = 0.03  # front, z
+    front = model.maps.texels[:, 0] == 0
+    own, other = model(_pose(0.5)).offsets, model(_pose(-0.5)).offsets
+    assert own[front, 2].min() > 0.02 and own[~front].abs().max() == 0 and own[:, :2].abs().max() == 0
+    assert other.abs().max() < 1e-3
 
 
 def test_view_angle_changes_colour_only() -> None:

@@ -143,7 +143,7 @@ def test_missing_stages_and_devices_are_said(tmp_path: Path, subject: Path) -> N
 
 def test_published_kind_of_model_trains_too(subject: Path) -> None:
     model = replace(PAPER_MODEL, width=0.0625, depth=2, style=8)
-    result = stage.run(subject, tiny(steps=30, model=model, rates=LearningRates(network=0.01)))
+    result = stage.run(subject, tiny(steps=20, model=model, rates=LearningRates(network=0.01)))
     lines = [json.loads(line) for line in result.artifact.bytes("metrics.jsonl").splitlines()]
     assert lines[-1]["losses"]["l1"] < lines[0]["losses"]["l1"]
     assert result.summary["skipped"] == 0

@@ -1,0 +1,78 @@
+"""Free offsets of the poses a layer was trained in, blended for poses in between.
+
+A network that sees one frame per step needs very long to learn where cloth hung in each of them. Here every
+anchor pose has a coarse map of offsets of its own, and a pose takes the maps of the anchors it resembles, by
+a Gaussian kernel on the layer's positional map. Far from every anchor the offsets fade, and the base
+attributes remain.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+_BANDWIDTH = 0.5  # kernel width in units of the usual distance between neighbouring anchors
+_LEAST = 1e-3
+_FLOOR = 0.05  # weight of "no anchor": what makes offsets fade far from all
+
+
+class AnchorOffsets(nn.Module):
+    """Offset maps of K anchor poses.
+
+    Arguments:
+        count: K. size: (height, width) of the coarse maps. features: length of a pose's description.
+    """
+
+    poses: Tensor  # (K, M) descriptions of the anchor poses
+    bandwidth: Tensor  # (1,)
+
+    def __init__(self, count: int, size: tuple[int, int], features: int) -> None:
+        super().__init__()
+        self.offsets = nn.Parameter(torch.zeros(count, 6, *size))  # m; front x y z, back x y z
+        self.register_buffer("poses", torch.zeros(count, features))
+        self.register_buffer("bandwidth", torch.ones(1))
+
+    def fit(self, poses: Tensor) -> None:
+        """Choose anchors among training poses (T, M), T ≥ K: the first, then always the farthest from all."""
+        distance = torch.cdist(poses, poses)
+        chosen = [0]
+        while len(chosen) < len(self.poses):
+            chosen.append(int(distance[:, chosen].min(dim=1).values.argmax()))
+        chosen.sort()
+        self.poses.copy_(poses[chosen])
+        between = distance[chosen][:, chosen] + torch.diag(torch.full((len(chosen),), float("inf")))
+        nearest = between.min(dim=1).values if len(chosen) > 1 else torch.ones(1)
+        self.bandwidth.copy_((_BANDWIDTH * nearest.median()).clamp(min=1e-6))
+
+    def weights(self, pose: Tensor) -> Tensor:
+        """Share (K,) of every anchor in a pose (M,); they sum to less than 1 far from all anchors."""
+        squared = (self.poses - pose).square().sum(dim=1) / (2 * self.bandwidth.square())
+        kernel = torch.exp(-squared) - _LEAST
+        kernel = kernel.clamp(min=0.0)  # exactly none, so that Adam does not enlarge traces of other poses
+        return kernel / (kernel.sum() + _FLOOR)
+
+    def forward(self, pose: Tensor) -> Tensor:
+        """Offset maps (2, 3, height, width) m of a pose (M,)."""
+        count, channels, height, width = self.offsets.shape
+        blend = self.weights(pose) @ self.offsets.reshape(count, -1)
+        return blend.view(2, channels // 2, height, width)
+
+
+def sampled_maps(images: Tensor, points: Tensor, views: list[Tensor]) -> Tensor:
+    """Maps (2, C, h, w) at every texel (N, C), bilinear.
+
+    Arguments:
+        points: (N, 2) x, y in −1..1 from edge to edge. views: two (N,) bool, texels of front and back.
+    """
+    values = images.new_zeros(len(points), images.shape[1])
+    for view, member in enumerate(views):
+        found = functional.grid_sample(
+            images[view : view + 1],
+            points[member][None, None],
+            mode="bilinear",
+            padding_mode="border",
+            align_corners=False,
+        )
+        values = values.index_put((member.nonzero()[:, 0],), found[0, :, 0].T)
+    return values

@@ -1,0 +1,51 @@
+"""Anchors: offsets of the poses that were seen, blended between them, fading far away."""
+
+from __future__ import annotations
+
+import torch
+
+from stages.shared.avatar.anchors import AnchorOffsets
+
+
+def _line(count: int) -> torch.Tensor:
+    return torch.stack([torch.tensor([float(i), 0.0, 0.0]) for i in range(count)])
+
+
+def test_a_seen_pose_takes_mostly_its_own_anchor() -> None:
+    anchors = AnchorOffsets(5, (2, 3), 3)
+    anchors.fit(_line(5))
+    for index in range(5):
+        weights = anchors.weights(_line(5)[index])
+        assert weights.argmax() == index and weights[index] > 0.7
+
+
+def test_between_two_anchors_is_their_mean_and_far_away_is_nothing() -> None:
+    anchors = AnchorOffsets(3, (2, 3), 3)
+    anchors.fit(_line(3))
+    with torch.no_grad():
+        anchors.offsets[:] = torch.tensor([1.0, 2.0, 9.0])[:, None, None, None]
+    middle = anchors(torch.tensor([0.5, 0.0, 0.0]))
+    assert middle.shape == (2, 3, 2, 3)
+    assert torch.allclose(middle, middle[0, 0, 0, 0].expand_as(middle))
+    assert 1.0 < middle.max() < 2.0
+    assert anchors(torch.tensor([100.0, 0.0, 0.0])).abs().max() == 0
+
+
+def test_gradient_stays_with_the_poses_that_are_near() -> None:
+    anchors = AnchorOffsets(6, (2, 3), 3)
+    anchors.fit(_line(6))
+    anchors(_line(6)[0]).sum().backward()
+    assert anchors.offsets.grad[0].abs().min() > 0
+    assert anchors.offsets.grad[3:].abs().max() == 0
+
+
+def test_fewer_anchors_than_poses_spread_out() -> None:
+    anchors = AnchorOffsets(3, (2, 3), 3)
+    anchors.fit(_line(9))
+    assert anchors.poses[:, 0].tolist() == [0.0, 4.0, 8.0]
+
+
+def test_equal_poses_do_not_break_the_bandwidth() -> None:
+    anchors = AnchorOffsets(2, (2, 3), 3)
+    anchors.fit(torch.zeros(4, 3))
+    assert torch.isfinite(anchors.weights(torch.zeros(3))).all()

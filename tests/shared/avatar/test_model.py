@@ -123,7 +123,7 @@ def test_anchors_move_garments_in_the_poses_they_belong_to() -> None:
     front = model.maps.texels[:, 0] == 0
     own, other = model(_pose(0.5)).offsets, model(_pose(-0.5)).offsets
     assert own[front, 2].min() > 0.02 and own[~front].abs().max() == 0 and own[:, :2].abs().max() == 0
-    assert other.abs().max() < 1e-3
+    assert other.abs().max() < 0.2 * own.max(), "a little, as the next anchor"
 
 
 def test_view_angle_changes_colour_only() -> None:

@@ -31,7 +31,7 @@ class RefusedGaussians(Exception):
     """Projection met numbers that cannot be rendered."""
 
 
-_MOST_ENTRIES = (1 << 31) - 1
+_MOST_ENTRIES = 1 << 28
 
 
 @dataclass(frozen=True)
@@ -70,12 +70,13 @@ class Sizes:
         """A size that kernels are compiled for, or one they are told."""
         return layout.size_argument(size, self.specialised)
 
-    def kernel_sizes(self) -> tuple[Any, ...]:
+    def kernel_sizes(self, layer_ids: np.ndarray | None) -> tuple[Any, ...]:
         """The arguments width ... channels of the blending kernels."""
         lanes = layout.lanes_argument(self.lanes)
         return (
             self.width,
             self.height,
+            layer_ids,
             self.layers,
             layout.constants(self.lanes),
             lanes,
@@ -114,6 +115,7 @@ class View:
     starts: np.ndarray  # (tiles + 1,)
     gaussians: np.ndarray  # (E,) tile lists: rows
     blocks: np.ndarray  # (E,) blocks of the tile that each entry changed
+    layer_ids: np.ndarray | None  # (N,)
 
 
 def camera_numbers(viewmat: np.ndarray, intrinsics: np.ndarray, sizes: Sizes) -> np.ndarray:
@@ -134,7 +136,7 @@ def arrange(gaussians: Gaussians, camera: np.ndarray, background: np.ndarray, si
     records, boxes = np.empty(n * sizes.record, np.float32), np.empty(4 * n, np.uint16)
     depths, counts = np.empty(n, np.float32), np.empty(n, np.int32)
     run_together(
-        projection.project, *gaussians.placed, gaussians.colors, sizes.channels, gaussians.layer_ids, camera,
+        projection.project, *gaussians.placed, gaussians.colors, sizes.channels, camera,
         float(sizes.width), float(sizes.height), records, sizes.record, boxes, depths, counts,
     )  # fmt: skip
     first_slots = np.empty(n + 1, np.int32)
@@ -157,7 +159,9 @@ def arrange(gaussians: Gaussians, camera: np.ndarray, background: np.ndarray, si
         np.empty(entries, np.uint32),
     )
     run_together(fill_tiles, order, boxes, first_slots, sizes.columns, tallies, rows, slots)
-    return View(camera, background, records, counts, first_slots, slots, starts, rows, blocks)
+    return View(
+        camera, background, records, counts, first_slots, slots, starts, rows, blocks, gaussians.layer_ids
+    )
 
 
 def blend_view(
@@ -172,12 +176,12 @@ def blend_view(
     lists = (view.starts, view.gaussians)
     run_together(
         blend, *lists, view.records, sizes.record, view.background, features.reshape(-1), alpha.reshape(-1),
-        depth.reshape(-1), view.blocks, *sizes.kernel_sizes(), sizes.argument(2 + sizes.channels),
+        depth.reshape(-1), view.blocks, *sizes.kernel_sizes(view.layer_ids), sizes.argument(2 + sizes.channels),
     )  # fmt: skip
     if median is not None:
         run_together(
             median_depths, *lists, view.blocks, view.records, sizes.record, median.reshape(-1), sizes.width,
-            sizes.height, sizes.layers, layout.constants(sizes.lanes), sizes.lanes,
+            sizes.height, view.layer_ids, sizes.layers, layout.constants(sizes.lanes), sizes.lanes,
         )  # fmt: skip
 
 
@@ -196,7 +200,7 @@ def view_backward(
     run_together(
         blend_backward, view.starts, view.gaussians, view.records, sizes.record, view.background,
         *(x.reshape(-1) for x in pictures), view.blocks, *(x.reshape(-1) for x in incoming), sums,
-        *sizes.kernel_sizes(), slot,
+        *sizes.kernel_sizes(view.layer_ids), slot,
     )  # fmt: skip
     turns = -(-len(gaussians.opacities) // (layout.GROUP * layout.GROUPS_PER_TURN))
     shares = np.empty(turns * projection.CAMERA_GRADIENTS, np.float64)

@@ -1,13 +1,13 @@
 """Splatting in plain torch: every pixel against every Gaussian, slow, and meant to be obviously right.
 
-The oracle of the other backends. Works in the precision of its inputs (float64 for tests), on any device, and
-is differentiable by torch itself. One function is one step of the mathematics (Zwicker et al. 2001, EWA
+The oracle of the other backends. Computes in float64 whatever it is given, on any device, and is differentiable
+by torch itself. One function is one step of the mathematics (Zwicker et al. 2001, EWA
 splatting; Kerbl et al. 2023, 3D Gaussian splatting). Letters: N Gaussians, P pixels, C channels.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -197,29 +197,27 @@ def render(
 
 
 def render_scene(scene: Scene) -> Rendering:
-    """Every camera, composite and layers: fields of shape (1 + L, B, H, W, ...)."""
+    """Every camera, composite and layers: fields of shape (1 + L, B, H, W, ...), in the dtype of the means."""
     check_gaussians(scene)
-    covars = scene.covars
-    if scene.quats is not None and scene.scales is not None:
-        covars = covariances(scene.quats, scene.scales)
+    dtype, exact = scene.means.dtype, in_float64(scene)
+    covars = exact.covars
+    if exact.quats is not None and exact.scales is not None:
+        covars = covariances(exact.quats, exact.scales)
     assert covars is not None
-    ids = scene.layer_ids
-    rows: list[list[Rendering]] = [[] for _ in range(1 + scene.layers)]
-    for camera in range(len(scene.viewmats)):
-        gaussians = project(
-            scene.means,
-            covars,
-            scene.opacities,
-            scene.viewmats[camera],
-            scene.Ks[camera],
-            scene.width,
-            scene.height,
-            scene.settings,
-        )
-        background = None if scene.background is None else scene.background[camera]
+    shape, ids = (exact.width, exact.height), exact.layer_ids
+    rows: list[list[Rendering]] = [[] for _ in range(1 + exact.layers)]
+    for camera in range(len(exact.viewmats)):
+        view, intrinsics = exact.viewmats[camera], exact.Ks[camera]
+        gaussians = project(exact.means, covars, exact.opacities, view, intrinsics, *shape, exact.settings)
+        background = None if exact.background is None else exact.background[camera]
         for row, pictures in enumerate(rows):
             members = None if ids is None or row == 0 else ids[gaussians.index] == row - 1
-            pictures.append(
-                render(gaussians, scene.colors, background, scene.width, scene.height, members, scene.median)
-            )
-    return stacked(rows)
+            pictures.append(render(gaussians, exact.colors, background, *shape, members, exact.median))
+    return stacked(rows, dtype)
+
+
+def in_float64(scene: Scene) -> Scene:
+    """The same scene with all numbers in float64; gradients pass."""
+    names = ("means", "quats", "scales", "covars", "opacities", "colors", "viewmats", "Ks", "background")
+    arrays = {name: getattr(scene, name) for name in names}
+    return replace(scene, **{name: x.double() for name, x in arrays.items() if x is not None})

@@ -40,11 +40,12 @@ class LayeredRendering:
     layers: tuple[Rendering, ...]
 
 
-def stacked(rows: list[list[Rendering]]) -> Rendering:
+def stacked(rows: list[list[Rendering]], dtype: torch.dtype) -> Rendering:
     """Renderings [1 + L][B] -> one with fields (1 + L, B, H, W, ...)."""
 
     def field(name: str) -> Tensor:
-        return torch.stack([torch.stack([getattr(picture, name) for picture in row]) for row in rows])
+        found = torch.stack([torch.stack([getattr(picture, name) for picture in row]) for row in rows])
+        return found.to(dtype)
 
     median = field("median_depth") if rows[0][0].median_depth is not None else None
     return Rendering(field("features"), field("alpha"), field("depth"), median)

@@ -32,17 +32,18 @@ from stages.shared.splat.kernels.lanes import (
 )
 from stages.shared.splat.kernels.layout import (
     BLOCK_WIDTH,
-    CENTER_X,
-    CENTER_Y,
     DEPTH,
-    LAYER,
     LOG_OPACITY,
     NUMBERS,
     TILE,
     TILE_PIXELS,
+    U0,
     UX,
     UY,
+    V0,
     VY,
+    WHOLE_X,
+    WHOLE_Y,
 )
 from stages.shared.splat.settings import ALPHA_MAX
 
@@ -113,24 +114,25 @@ def _empty_tile(sets, top, left, width, height, background, features, alpha, dep
 def _reached_blocks(records, record, constants, top, left, lanes):
     """Bits of the blocks that a Gaussian may reach: u and v are bounded over a block separately.
 
-    u = UX dx + UY dy spans its value in the block's middle +- (UX half width + |UY| half height); likewise v.
+    u = UX X + UY Y + U0 spans its value in the block's middle +- (UX half width + |UY| half height); likewise v.
     The Gaussian stays under the cut where the least |u| and the least |v| already give u^2 + v^2 > reach.
     """
     count = len(lanes)
-    ux, uy = at(records, record + UX), at(records, record + UY)
-    vy, log_opacity = at(records, record + VY), at(records, record + LOG_OPACITY)
-    x, y = at(records, record + CENTER_X) - np.float32(left), at(records, record + CENTER_Y) - np.float32(top)
+    ux, u_y, u0 = at(records, record + UX), at(records, record + UY), at(records, record + U0)
+    vy, v0 = at(records, record + VY), at(records, record + V0)
+    x = np.float32(left) - at(records, record + WHOLE_X)
+    y = np.float32(top) - at(records, record + WHOLE_Y)
     half_width = np.float32(0.5 * (BLOCK_WIDTH - 1))
     half_height = np.float32(0.5) * np.float32(count // BLOCK_WIDTH - 1)
-    span_u, span_v = ux * half_width + abs(uy) * half_height, vy * half_height
-    reach = log_opacity - at(constants, 7 * count) + _SLACK
+    span_u, span_v = ux * half_width + abs(u_y) * half_height, vy * half_height
+    reach = at(records, record + LOG_OPACITY) - at(constants, 7 * count) + _SLACK
     middles = (NUMBERS + 2) * count
     found = 0
     for block in range(0, TILE_PIXELS // count, count):
-        dx = load(constants, middles + block, lanes) - x
-        dy = load(constants, middles + TILE_PIXELS // count + block, lanes) - y
-        u = maximum(magnitude(fma(dx, ux, dy * uy)) - span_u, ZERO)
-        v = maximum(magnitude(dy * vy) - span_v, ZERO)
+        middle_x = load(constants, middles + block, lanes) + x
+        middle_y = load(constants, middles + TILE_PIXELS // count + block, lanes) + y
+        u = maximum(magnitude(middle_x * ux + (middle_y * u_y + u0)) - span_u, ZERO)
+        v = maximum(magnitude(middle_y * vy + v0) - span_v, ZERO)
         found |= bits(fma(u, u, v * v) <= reach) << block
     return found
 
@@ -147,7 +149,7 @@ def _add(pixels, records, record, alpha, number, channels):
 
 @njit(forceinline=True)
 def _add_layered(
-    pixels, state, live, bit, set_size, block_place, records, record, alpha, keep, number, lanes, channels
+    pixels, state, live, bit, own, set_size, block_place, records, record, alpha, keep, number, lanes, channels
 ):  # fmt: skip
     """The same for the composite and the Gaussian's own layer: (changed a pixel, a picture is open here)."""
     touched = 0
@@ -156,7 +158,6 @@ def _add_layered(
         touched |= bits(still_open & keep)
         if bits(still_open) == 0:
             live[0] &= ~bit
-    own = 1 + np.int64(at(records, record + LAYER))
     if live[own] & bit != 0:
         alone = bank_at(state, own * set_size + block_place, lanes)
         still_open = _add(alone, records, record, alpha, number, channels)
@@ -172,13 +173,14 @@ def _add_layered(
 @njit(nogil=True, cache=True, error_model="numpy")
 def blend(
     turn, starts, gaussians, records, stride, background, features, alpha, depth, blocks, width, height,
-    layers, constants, lanes, channels, planes,
+    layer_ids, layers, constants, lanes, channels, planes,
 ):  # fmt: skip
     """Blend the tiles this thread gets.
 
     starts (tiles + 1,), gaussians (E,) rows of records: the tile lists, nearest first. blocks (E,) uint32:
     gets the blocks in which an entry changed a pixel, one bit each, all that the backward pass visits.
-    layers: None, or how many are rendered alone beside the composite. planes: 2 + channels, as a size.
+    layer_ids, layers: None, or the layer of
+    each row and how many there are, rendered alone beside the composite. planes: 2 + channels, as a size.
     """
     count = len(lanes)
     columns = (width + TILE - 1) // TILE
@@ -220,7 +222,7 @@ def blend(
                 record = at(gaussians, entry) * stride
                 todo = live[0]
                 if layers is not None:
-                    todo |= live[1 + np.int64(at(records, record + LAYER))]
+                    todo |= live[1 + np.int64(at(layer_ids, at(gaussians, entry)))]
                 todo &= _reached_blocks(records, record, constants, top, left, lanes)
                 union |= todo
                 set_at(reached, entry - begin, np.int32(todo))
@@ -244,15 +246,18 @@ def blend(
                         entry = word + lowest_bit(todo)
                         todo &= todo - 1
                         record = at(gaussians, entry) * stride
-                        _, _, _, _, opaque, keep = falloff(pixel_x, pixel_y, records, record, number, lanes)
+                        _, _, _, _, _, opaque, keep = falloff(
+                            pixel_x, pixel_y, records, record, number, lanes
+                        )
                         if layers is None:
                             still_open = _add(pixels, records, record, opaque, number, channels)
                             touched = bits(still_open & keep) != 0
                             any_open = bits(still_open) != 0
                         else:
+                            own = 1 + np.int64(at(layer_ids, at(gaussians, entry)))
                             touched, any_open = _add_layered(
-                                pixels, state, live, bit, set_size, block * depth_and_colors * count, records,
-                                record, opaque, keep, number, lanes, channels,
+                                pixels, state, live, bit, own, set_size, block * depth_and_colors * count,
+                                records, record, opaque, keep, number, lanes, channels,
                             )  # fmt: skip
                         # Without a branch: it would be mispredicted every fourth time.
                         set_at(blocks, entry, at(blocks, entry) | (np.uint32(touched) << np.uint32(block)))
@@ -267,7 +272,19 @@ def blend(
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def median_depths(
-    turn, starts, gaussians, blocks, records, stride, depth, width, height, layers, constants, count
+    turn,
+    starts,
+    gaussians,
+    blocks,
+    records,
+    stride,
+    depth,
+    width,
+    height,
+    layer_ids,
+    layers,
+    constants,
+    count,
 ):
     """Camera depth at which each pixel's transmittance first falls to one half; 0 where it never does.
 
@@ -287,11 +304,15 @@ def median_depths(
                     before, found = ONE, ZERO
                     for entry in range(starts[tile], starts[tile + 1]):
                         r = gaussians[entry] * stride
-                        if blocks[entry] == 0 or (picture > 0 and records[r + LAYER] != picture - 1):
+                        if blocks[entry] == 0:
                             continue
-                        dx = np.float32(column + 0.5) - records[r + CENTER_X]
-                        dy = np.float32(row + 0.5) - records[r + CENTER_Y]
-                        u, v = records[r + UX] * dx + records[r + UY] * dy, records[r + VY] * dy
+                        if layer_ids is not None:
+                            if picture > 0 and layer_ids[gaussians[entry]] != picture - 1:
+                                continue
+                        x = np.float32(column + 0.5) - records[r + WHOLE_X]
+                        y = np.float32(row + 0.5) - records[r + WHOLE_Y]
+                        u = records[r + UX] * x + (records[r + UY] * y + records[r + U0])
+                        v = records[r + VY] * y + records[r + V0]
                         exponent = records[r + LOG_OPACITY] - u * u - v * v
                         if exponent < cut:
                             continue

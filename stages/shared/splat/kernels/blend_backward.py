@@ -37,15 +37,14 @@ from stages.shared.splat.kernels.lanes import (
 )
 from stages.shared.splat.kernels.layout import (
     DEPTH,
-    LAYER,
     NUMBERS,
     SUM_DEPTH,
     SUM_H,
     SUM_HU,
     SUM_HUX,
     SUM_HUY,
-    SUM_HY,
-    SUM_HYY,
+    SUM_HV,
+    SUM_HVY,
     TILE,
     TILE_PIXELS,
 )
@@ -109,7 +108,7 @@ def _pull(pixels, records, record, opaque, inverse, number, grads, channels):
 @njit(nogil=True, cache=True, error_model="numpy")
 def blend_backward(
     turn, starts, gaussians, records, stride, background, features, alpha, depth, blocks, g_features, g_alpha,
-    g_depth, sums, width, height, layers, constants, lanes, channels, slot,
+    g_depth, sums, width, height, layer_ids, layers, constants, lanes, channels, slot,
 ):  # fmt: skip
     """Gradients of the tiles this thread gets: sums (E * slot length,), entry by entry (see `layout`)."""
     count = len(lanes)
@@ -137,9 +136,9 @@ def blend_backward(
             g_features, g_alpha, g_depth,
         )  # fmt: skip
         for block in range(TILE_PIXELS // count):
-            x, y = block_corner(block, count, top, left)
-            store(places, 2 * block * count, lane_x + np.float32(x))
-            store(places, (2 * block + 1) * count, lane_y + np.float32(y))
+            corner_x, corner_y = block_corner(block, count, top, left)
+            store(places, 2 * block * count, lane_x + np.float32(corner_x))
+            store(places, (2 * block + 1) * count, lane_y + np.float32(corner_y))
         for entry in range(first, last):
             if entry + AHEAD < last:
                 prefetch(records, at(gaussians, entry + AHEAD) * stride)
@@ -151,7 +150,7 @@ def blend_backward(
             record = at(gaussians, entry) * stride
             own = 0
             if layers is not None:
-                own = (1 + np.int64(at(records, record + LAYER))) * set_size
+                own = (1 + np.int64(at(layer_ids, at(gaussians, entry)))) * set_size
             for k in range(length(slot)):
                 put(grads, k, zero)
             while todo != 0:
@@ -159,7 +158,7 @@ def blend_backward(
                 todo &= todo - 1
                 pixel_x = load(places, 2 * block * count, lanes)
                 pixel_y = load(places, (2 * block + 1) * count, lanes)
-                dx, dy, u, power, opaque, _ = falloff(pixel_x, pixel_y, records, record, number, lanes)
+                x, y, u, v, power, opaque, _ = falloff(pixel_x, pixel_y, records, record, number, lanes)
                 inverse = ONE / (ONE - opaque)
                 pixels = bank_at(state, block * planes * count, lanes)
                 g_opaque = _pull(pixels, records, record, opaque, inverse, number, grads, channels)
@@ -169,12 +168,12 @@ def blend_backward(
                         pixels, records, record, opaque, inverse, number, grads, channels
                     )
                 h = where(power < number[8], g_opaque * opaque, ZERO)
-                hu, hy = h * u, h * dy
+                hu, hv = h * u, h * v
                 put(grads, SUM_H, get(grads, SUM_H) + h)
                 put(grads, SUM_HU, get(grads, SUM_HU) + hu)
-                put(grads, SUM_HUX, fma(hu, dx, get(grads, SUM_HUX)))
-                put(grads, SUM_HUY, fma(hu, dy, get(grads, SUM_HUY)))
-                put(grads, SUM_HY, get(grads, SUM_HY) + hy)
-                put(grads, SUM_HYY, fma(hy, dy, get(grads, SUM_HYY)))
+                put(grads, SUM_HUX, fma(hu, x, get(grads, SUM_HUX)))
+                put(grads, SUM_HUY, fma(hu, y, get(grads, SUM_HUY)))
+                put(grads, SUM_HV, get(grads, SUM_HV) + hv)
+                put(grads, SUM_HVY, fma(hv, y, get(grads, SUM_HVY)))
             for k in range(0, length(slot), count):
                 store(sums, entry * length(slot) + k, lane_sums(grads, k))

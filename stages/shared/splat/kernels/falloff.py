@@ -21,13 +21,14 @@ from stages.shared.splat.kernels.lanes import (
 from stages.shared.splat.kernels.layout import (
     BLOCK_WIDTH,
     BLOCKS_ACROSS,
-    CENTER_X,
-    CENTER_Y,
     LOG_OPACITY,
-    TILE_PIXELS,
+    U0,
     UX,
     UY,
+    V0,
     VY,
+    WHOLE_X,
+    WHOLE_Y,
 )
 
 # mypy: ignore-errors
@@ -48,14 +49,14 @@ def numbers(constants, lanes):
 
 @njit(forceinline=True)
 def falloff(pixel_x, pixel_y, records, record, number, lanes):
-    """(dx, dy, u, power of two, alpha, which lanes reach the cut); alpha is 0 where they do not.
+    """(X, Y, u, v, power of two, alpha, which lanes reach the cut); alpha is 0 where they do not.
 
     power = 2^(log_opacity - u^2 - v^2), relative error under 1e-6; garbage far outside the Gaussian.
     """
-    dx = pixel_x - at(records, record + CENTER_X)
-    dy = pixel_y - at(records, record + CENTER_Y)
-    u = fma(spread(at(records, record + UX), lanes), dx, dy * at(records, record + UY))
-    v = dy * at(records, record + VY)
+    x, y = pixel_x - at(records, record + WHOLE_X), pixel_y - at(records, record + WHOLE_Y)
+    ux, u_y = spread(at(records, record + UX), lanes), spread(at(records, record + UY), lanes)
+    u = fma(ux, x, fma(u_y, y, spread(at(records, record + U0), lanes)))
+    v = fma(spread(at(records, record + VY), lanes), y, spread(at(records, record + V0), lanes))
     exponent = fma(negative(u), u, fma(negative(v), v, spread(at(records, record + LOG_OPACITY), lanes)))
     keep = exponent >= number[7]
     shifted = exponent + number[0]
@@ -65,7 +66,7 @@ def falloff(pixel_x, pixel_y, records, record, number, lanes):
     power = fma(power, fraction, number[3])
     power = fma(power, fraction, number[2])
     power = scale_by_low_bits(fma(power, fraction, number[1]), shifted)
-    return dx, dy, u, power, where(keep, minimum(power, number[8]), 0.0), keep
+    return x, y, u, v, power, where(keep, minimum(power, number[8]), 0.0), keep
 
 
 @njit(forceinline=True)
@@ -94,6 +95,3 @@ def block_corner(block, count, top, left):
     x = left + (block % BLOCKS_ACROSS) * BLOCK_WIDTH
     y = top + (block // BLOCKS_ACROSS) * (count // BLOCK_WIDTH)
     return x, y
-
-
-__all__ = ["TILE_PIXELS", "block_corner", "falloff", "numbers", "pass_through", "pixel_place"]

@@ -221,6 +221,18 @@ maximum = _extreme(">")
 
 
 @intrinsic
+def to_single(typingctx: Any, a: Any) -> Any:
+    """Double lanes rounded to what float32 can hold, still as doubles."""
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        kind = sig.return_type
+        singles = ir.VectorType(ir.FloatType(), kind.count)
+        return builder.fpext(builder.fptrunc(args[0], singles), kind.ir_type)
+
+    return a(a), lower
+
+
+@intrinsic
 def negative(typingctx: Any, a: Any) -> Any:
     """-a, which the compiler folds into a fused multiply-add where it can."""
 

@@ -22,13 +22,14 @@ BLOCK_WIDTH = 4
 BLOCK_WIDTH_SHIFT = 2
 BLOCKS_ACROSS = TILE // BLOCK_WIDTH
 
-# A record is what blending needs of one Gaussian, float32:
-# centre (px), u = UX dx + UY dy and v = VY dy (alpha = 2^(LOG_OPACITY - u^2 - v^2)), layer, depth, colours.
-CENTER_X, CENTER_Y, UX, UY, VY, LOG_OPACITY, LAYER, DEPTH, COLOR = range(9)
+# A record is what blending needs of one Gaussian, float32. The centre is split into a whole number of pixels
+# (exact, so that wide pictures lose no digits) and a rest that is folded into U0 and V0: with X, Y the pixel
+# relative to the whole part, u = UX X + UY Y + U0, v = VY Y + V0, alpha = 2^(LOG_OPACITY - u^2 - v^2).
+WHOLE_X, WHOLE_Y, UX, UY, U0, VY, V0, LOG_OPACITY, DEPTH, COLOR = range(10)
 
 # A gradient slot holds sums over the pixels of one tile for one Gaussian, h = d(loss)/d(alpha) alpha:
-# h, h u, h u dx, h u dy, h dy, h dy^2, then d(loss)/d(depth) and d(loss)/d(colours).
-SUM_H, SUM_HU, SUM_HUX, SUM_HUY, SUM_HY, SUM_HYY, SUM_DEPTH, SUM_COLOR = range(8)
+# h, h u, h u X, h u Y, h v, h v Y, then d(loss)/d(depth) and d(loss)/d(colours).
+SUM_H, SUM_HU, SUM_HUX, SUM_HUY, SUM_HV, SUM_HVY, SUM_DEPTH, SUM_COLOR = range(8)
 
 GROUP = 64
 """Gaussians that projection handles at once: enough to amortise the transposition, small enough for L1."""

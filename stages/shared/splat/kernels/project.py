@@ -32,17 +32,15 @@ from stages.shared.splat.kernels.lanes import (
     spread,
     store,
     take,
+    to_single,
     total,
     where,
 )
 from stages.shared.splat.kernels.layout import (
-    CENTER_X,
-    CENTER_Y,
     COLOR,
     DEPTH,
     GROUP,
     GROUPS_PER_TURN,
-    LAYER,
     LOG_OPACITY,
     SUM_COLOR,
     SUM_DEPTH,
@@ -50,12 +48,16 @@ from stages.shared.splat.kernels.layout import (
     SUM_HU,
     SUM_HUX,
     SUM_HUY,
-    SUM_HY,
-    SUM_HYY,
+    SUM_HV,
+    SUM_HVY,
     TILE_SHIFT,
+    U0,
     UX,
     UY,
+    V0,
     VY,
+    WHOLE_X,
+    WHOLE_Y,
 )
 from stages.shared.splat.settings import ALPHA_MIN, SHORTEST_QUATERNION
 
@@ -86,7 +88,7 @@ _MARGIN = 1e-3
 _MEAN, _SHAPE, _OPACITY = 0, 3, 10
 _OUT = 11
 _RECORD = COLOR
-"""A record's fields come first and in its order; its layer is filled in later."""
+"""A record's fields before the colours, in its order."""
 _O_LEFT, _O_TOP, _O_RIGHT, _O_BOTTOM = range(_OUT + _RECORD, _OUT + _RECORD + 4)
 _FORWARD_ROWS = _OUT + _RECORD + 4
 # Backward: sums of the slots, then the gradients.
@@ -239,6 +241,14 @@ def _narrow(xx, xy, yy):
 
 
 @njit(forceinline=True)
+def _split(center):
+    """A coordinate in px as a whole number that float32 holds, and what is missing."""
+    center = minimum(maximum(center, -1e30), 1e30)
+    whole = to_single(floor(center))
+    return whole, center - whole
+
+
+@njit(forceinline=True)
 def _acceptable(table, place, covars):
     """False for numbers that `scene.check_gaussians` refuses: it then finds out which and why."""
     everything = _row(table, _OPACITY, place)
@@ -259,13 +269,13 @@ def _acceptable(table, place, covars):
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def project(
-    turn, means, quats, scales, covars, opacities, colors, channels, layer_ids, camera, width, height,
+    turn, means, quats, scales, covars, opacities, colors, channels, camera, width, height,
     records, stride, boxes, depths, counts,
 ):  # fmt: skip
     """Gaussians -> records, boxes (4N,) uint16 px inclusive, depths (N,) m, counts (N,) of tiles.
 
     A count is 0 if the Gaussian is unseen, REFUSED if it cannot be rendered. All arrays are flat. Either
-    quats (4N,) and scales (3N,), or covars (9N,); the others None. layer_ids (N,) or None.
+    quats (4N,) and scales (3N,), or covars (9N,); the others None.
     """
     n = len(opacities)
     table = np.empty(_FORWARD_ROWS * GROUP, np.float64)
@@ -289,8 +299,6 @@ def project(
                 record = g * stride
                 for k in range(_RECORD):
                     set_at(records, record + k, np.float32(at(table, (_OUT + k) * GROUP + j)))
-                if layer_ids is not None:
-                    set_at(records, record + LAYER, np.float32(at(layer_ids, g)))
                 set_at(depths, g, at(records, record + DEPTH))
                 for c in range(channels):
                     set_at(records, record + COLOR + c, at(colors, g * channels + c))
@@ -332,12 +340,17 @@ def _project_lanes(table, place, camera, covars, width, height):
     top = maximum(0.0 - floor(0.0 - (center_y - down - 0.5)), 0.0)
     bottom = minimum(floor(center_y + down - 0.5), height - 1.0)
     seen = inside & (reach >= 0.0) & (left <= right) & (top <= bottom)
-    _set(table, _OUT + CENTER_X, place, minimum(maximum(center_x, -1e30), 1e30))
-    _set(table, _OUT + CENTER_Y, place, minimum(maximum(center_y, -1e30), 1e30))
+    whole_x, rest_x = _split(center_x)
+    whole_y, rest_y = _split(center_y)
+    _set(table, _OUT + WHOLE_X, place, whole_x)
+    _set(table, _OUT + WHOLE_Y, place, whole_y)
     shared = root(HALF_LOG2E / (determinant * yy))
-    _set(table, _OUT + UX, place, yy * shared)
-    _set(table, _OUT + UY, place, 0.0 - xy * shared)
-    _set(table, _OUT + VY, place, root(HALF_LOG2E / yy))
+    ux, u_y, vy = yy * shared, 0.0 - xy * shared, root(HALF_LOG2E / yy)
+    _set(table, _OUT + UX, place, ux)
+    _set(table, _OUT + UY, place, u_y)
+    _set(table, _OUT + U0, place, 0.0 - ux * rest_x - u_y * rest_y)
+    _set(table, _OUT + VY, place, vy)
+    _set(table, _OUT + V0, place, 0.0 - vy * rest_y)
     _set(table, _OUT + LOG_OPACITY, place, log_opacity)
     _set(table, _OUT + DEPTH, place, z)
     # left > right says unseen; left = 2 as well, refused.
@@ -460,25 +473,27 @@ def _project_lanes_backward(table, place, camera, covars, of_camera):
     xx, yy = sharp_xx + camera[EPS2D], sharp_yy + camera[EPS2D]
     inverse_det = 1.0 / (xx * yy - xy * xy)
     shared = root(inverse_det * HALF_LOG2E / yy)
-    ux, uy, vy2 = yy * shared, 0.0 - xy * shared, HALF_LOG2E / yy
+    ux, u_y, vy = yy * shared, 0.0 - xy * shared, root(HALF_LOG2E / yy)
 
     # Sums over pixels -> centre and 2-D covariance. ln 2 because alpha = 2^(...).
     ln2 = math.log(2.0)
     sum_h = _row(table, _SUMS + SUM_H, place)
-    sum_hu = _row(table, _SUMS + SUM_HU, place) * (2.0 * ln2)
-    g_center_x = sum_hu * ux
-    g_center_y = sum_hu * uy + _row(table, _SUMS + SUM_HY, place) * vy2 * (2.0 * ln2)
-    g_ux = _row(table, _SUMS + SUM_HUX, place) * (-2.0 * ln2)
-    g_uy = _row(table, _SUMS + SUM_HUY, place) * (-2.0 * ln2)
-    g_vy_vy = _row(table, _SUMS + SUM_HYY, place) * vy2 * (-2.0 * ln2)
+    sum_hu, sum_hv = _row(table, _SUMS + SUM_HU, place), _row(table, _SUMS + SUM_HV, place)
+    _, rest_x = _split(raw_u * camera[FX] + camera[CX])
+    _, rest_y = _split(raw_v * camera[FY] + camera[CY])
+    g_center_x = sum_hu * ux * (2.0 * ln2)
+    g_center_y = (sum_hu * u_y + sum_hv * vy) * (2.0 * ln2)
+    g_ux = (_row(table, _SUMS + SUM_HUX, place) - sum_hu * rest_x) * (-2.0 * ln2)
+    g_uy = (_row(table, _SUMS + SUM_HUY, place) - sum_hu * rest_y) * (-2.0 * ln2)
+    g_vy = (_row(table, _SUMS + SUM_HVY, place) - sum_hv * rest_y) * (-2.0 * ln2)
     # u's coefficients are ux = sqrt(k yy / det), uy = -xy sqrt(k / (yy det)); v's is vy = sqrt(k / yy).
-    along = g_ux * ux + g_uy * uy
+    along = g_ux * ux + g_uy * u_y
     g_xx = along * yy * inverse_det * -0.5
     g_xy = along * xy * inverse_det - g_uy * shared
     g_yy = (
         g_ux * ux * xy * xy * inverse_det * -0.5 / yy
-        - g_uy * uy * 0.5 * (1.0 / yy + xx * inverse_det)
-        - g_vy_vy * 0.5 / yy
+        - g_uy * u_y * 0.5 * (1.0 / yy + xx * inverse_det)
+        - g_vy * vy * 0.5 / yy
     )
     if camera[ANTIALIASED] > 0:
         sharp = sharp_xx * sharp_yy - xy * xy

@@ -8,7 +8,7 @@ front, as an arm before a jacket, is left alone.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -62,32 +62,29 @@ def repair(
         layers: L names, inner to outer.
     """
     composite = rendering.composite
-    features = composite.features.clone()
-    alpha, depth = composite.alpha.clone(), composite.depth.clone()
+    features = composite.features.numpy().copy()
+    alpha, depth = composite.alpha.numpy().copy(), composite.depth.numpy().copy()
     own_depth = [_depth(alone) for alone in rendering.layers]
-    total = np.zeros(tuple(alpha.shape), bool)
+    total = np.zeros(alpha.shape, bool)
     counts = {}
     for inner, outer in _pairs(layers):
         alone = rendering.layers[outer]
-        opaque = (alone.alpha > config.opaque).numpy()
+        opaque = alone.alpha.numpy() > config.opaque
         if not opaque.any():
             continue
         margin = config.body_margin if layers[inner] == "body" else config.garment_margin
-        winner = features[..., 3:].argmax(dim=-1).numpy()
-        shown = (features[..., 3 + outer] > 0.5).numpy() & (alpha >= 0.5).numpy()
-        among = (winner == inner) | (winner == outer)
+        shown = (features[..., 3 + outer] > 0.5) & (alpha >= 0.5)
         behind = own_depth[inner] >= own_depth[outer] - margin
-        replaced = enclosed(shown, config.rim) & opaque & behind & among
-        wrong = replaced & (winner == inner)
+        place = np.nonzero(enclosed(shown, config.rim) & opaque & behind)
+        winner = features[place][:, 3:].argmax(axis=1)
+        among = (winner == inner) | (winner == outer)  # a third layer in front is neither's business
+        place, wrong = tuple(axis[among] for axis in place), winner[among] == inner
         counts[f"{layers[inner]}/{layers[outer]}"] = int(wrong.sum())
-        total |= wrong
-        chosen = torch.from_numpy(replaced)
-        features[chosen], alpha[chosen], depth[chosen] = (
-            alone.features[chosen],
-            alone.alpha[chosen],
-            alone.depth[chosen],
-        )
-    return Repaired(replace(composite, features=features, alpha=alpha, depth=depth), total, counts)
+        total[tuple(axis[wrong] for axis in place)] = True
+        features[place], alpha[place] = alone.features.numpy()[place], alone.alpha.numpy()[place]
+        depth[place] = alone.depth.numpy()[place]
+    repaired = (torch.from_numpy(values) for values in (features, alpha, depth))
+    return Repaired(Rendering(*repaired), total, counts)
 
 
 def enclosed(shown: Mask, rim: int) -> Mask:
@@ -109,5 +106,6 @@ def _pairs(layers: tuple[str, ...]) -> list[tuple[int, int]]:
 
 def _depth(alone: Rendering) -> NDArray[np.float32]:
     """(H, W) expected depth in metres; infinity where there is nothing."""
-    seen = alone.alpha > 1e-4
-    return np.asarray(torch.where(seen, alone.expected_depth, torch.inf).numpy())
+    alpha = alone.alpha.numpy()
+    far = np.full(alpha.shape, np.inf, np.float32)
+    return np.asarray(np.divide(alone.depth.numpy(), alpha, out=far, where=alpha > 1e-4))

@@ -102,8 +102,9 @@ def _shot(
 ) -> Shot:
     alpha = picture.alpha.numpy()
     ids = np.array([label_of(name) for name in layers], np.uint8)
-    winner = picture.features[..., 3:].argmax(dim=-1).numpy()
-    labels = np.where(alpha >= _LABEL_ALPHA, ids[winner], np.uint8(NO_LABEL)).astype(np.uint8)
+    covered = alpha >= _LABEL_ALPHA
+    labels = np.full(alpha.shape, NO_LABEL, np.uint8)
+    labels[covered] = ids[picture.features.numpy()[covered][:, 3:].argmax(axis=1)]
     return Shot(
         _bounded(picture.features[..., :3]),
         alpha,

@@ -75,7 +75,8 @@ def _film(folder: Path, outcomes: list[DemoOutcome]) -> str:
         for picture in outcome.pictures(folder):
             if picture.endswith((".mp4", ".webm")):
                 return (
-                    f'<figure><video src="{html.escape(picture)}" controls loop muted autoplay playsinline></video>'
+                    f'<figure><video src="{html.escape(picture)}" controls loop muted autoplay playsinline>'
+                    "</video>"
                     f"<figcaption>{html.escape(outcome.step.sentence)}</figcaption></figure>"
                 )
     return ""

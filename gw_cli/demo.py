@@ -18,7 +18,7 @@ def register(app: typer.Typer) -> None:
         output: Annotated[Path, typer.Option("-o", "--output", help="Folder of the demo.")] = Path("demo"),
         preset: Preset = "draft",
         minutes: Annotated[
-            float | None, typer.Option(help="Training minutes per subject; the preset's when absent.")
+            float | None, typer.Option(help="Training minutes per subject; draft takes 4.5 when absent.")
         ] = None,
         seed: Seed = 0,
         device: Device = "auto",

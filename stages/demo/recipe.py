@@ -72,8 +72,8 @@ def _synthesise(config: DemoConfig) -> DemoStep:
 def _learn(subject: str, config: DemoConfig) -> list[DemoStep]:
     preset = ("--preset", config.preset)
     train_options: tuple[str, ...] = preset + ("--seed", str(config.seed), "--device", config.device)
-    if config.train_minutes is not None:
-        train_options += ("--minutes", f"{config.train_minutes:g}")
+    if config.minutes is not None:
+        train_options += ("--minutes", f"{config.minutes:g}")
     table: list[tuple[str, str, tuple[str, ...], str]] = [
         (
             "register-template",

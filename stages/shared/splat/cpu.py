@@ -175,8 +175,9 @@ def blend_view(
     """Fill the pictures (1 + L, H, W, ...) of one camera."""
     lists = (view.starts, view.gaussians)
     run_together(
-        blend, *lists, view.records, sizes.record, view.background, features.reshape(-1), alpha.reshape(-1),
-        depth.reshape(-1), view.blocks, *sizes.kernel_sizes(view.layer_ids), sizes.argument(2 + sizes.channels),
+        blend, *lists, view.records, sizes.record, view.background, features.reshape(-1),
+        alpha.reshape(-1), depth.reshape(-1), view.blocks, *sizes.kernel_sizes(view.layer_ids),
+        sizes.argument(2 + sizes.channels),
     )  # fmt: skip
     if median is not None:
         run_together(

@@ -1,7 +1,7 @@
 """Splatting in plain torch: every pixel against every Gaussian, slow, and meant to be obviously right.
 
-The oracle of the other backends. Computes in float64 whatever it is given, on any device, and is differentiable
-by torch itself. One function is one step of the mathematics (Zwicker et al. 2001, EWA
+The oracle of the other backends. Computes in float64 whatever it is given, on any device, and is
+differentiable by torch itself. One function is one step of the mathematics (Zwicker et al. 2001, EWA
 splatting; Kerbl et al. 2023, 3D Gaussian splatting). Letters: N Gaussians, P pixels, C channels.
 """
 
@@ -121,9 +121,10 @@ def project(
     points, covars, opacities = points[index], covars[index], opacities[index]
     jacobian = perspective_jacobian(points, intrinsics, width, height)
     xx, xy, yy = image_covariances(0.5 * (covars + covars.mT), viewmat, jacobian)
-    sharp = xx * yy - xy * xy
+    sharp = (xx * yy - xy * xy).clamp_min(0)
+    # det(Sigma' + eps I), written so that nothing cancels.
+    blurred = sharp + (xx + yy + settings.eps2d) * settings.eps2d
     xx, yy = xx + settings.eps2d, yy + settings.eps2d
-    blurred = xx * yy - xy * xy
     if settings.antialiased:
         positive = sharp > 0
         ratio = torch.where(positive, sharp, 1.0) / blurred
@@ -197,7 +198,7 @@ def render(
 
 
 def render_scene(scene: Scene) -> Rendering:
-    """Every camera, composite and layers: fields of shape (1 + L, B, H, W, ...), in the dtype of the means."""
+    """Every camera, composite and layers: fields (1 + L, B, H, W, ...), in the dtype of the means."""
     check_gaussians(scene)
     dtype, exact = scene.means.dtype, in_float64(scene)
     covars = exact.covars

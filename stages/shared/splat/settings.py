@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+
+from stages.shared.errors import UsageProblem
 
 ALPHA_MIN = 1.0 / 255.0
 """A Gaussian contributes to a pixel only where its alpha reaches this; below, it cannot change 8 bits."""
@@ -34,3 +37,13 @@ class SplatSettings:
     far: float = 1e10
     eps2d: float = 0.3
     antialiased: bool = False
+
+    def __post_init__(self) -> None:
+        if not 0 < self.near < self.far or math.isnan(self.far):
+            raise UsageProblem(
+                f"Depths from {self.near} to {self.far} m are not possible.",
+                "near, far",
+                "Use 0 < near < far.",
+            )
+        if not 1e-6 <= self.eps2d <= 1e6:
+            raise UsageProblem(f"A blur of {self.eps2d} px^2 is not possible.", "eps2d", "Use 1e-6 to 1e6.")

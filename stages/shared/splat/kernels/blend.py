@@ -114,7 +114,7 @@ def _empty_tile(sets, top, left, width, height, background, features, alpha, dep
 def _reached_blocks(records, record, constants, top, left, lanes):
     """Bits of the blocks that a Gaussian may reach: u and v are bounded over a block separately.
 
-    u = UX X + UY Y + U0 spans its value in the block's middle +- (UX half width + |UY| half height); likewise v.
+    u = UX X + UY Y + U0 is its value in the block's middle +- (UX half width + |UY| half height); v likewise.
     The Gaussian stays under the cut where the least |u| and the least |v| already give u^2 + v^2 > reach.
     """
     count = len(lanes)
@@ -149,7 +149,8 @@ def _add(pixels, records, record, alpha, number, channels):
 
 @njit(forceinline=True)
 def _add_layered(
-    pixels, state, live, bit, own, set_size, block_place, records, record, alpha, keep, number, lanes, channels
+    pixels, state, live, bit, own, set_size, block_place, records, record, alpha, keep, number, lanes,
+    channels,
 ):  # fmt: skip
     """The same for the composite and the Gaussian's own layer: (changed a pixel, a picture is open here)."""
     touched = 0
@@ -306,9 +307,12 @@ def median_depths(
                         r = gaussians[entry] * stride
                         if blocks[entry] == 0:
                             continue
-                        if layer_ids is not None:
-                            if picture > 0 and layer_ids[gaussians[entry]] != picture - 1:
-                                continue
+                        if (
+                            layer_ids is not None
+                            and picture > 0
+                            and layer_ids[gaussians[entry]] != picture - 1
+                        ):
+                            continue
                         x = np.float32(column + 0.5) - records[r + WHOLE_X]
                         y = np.float32(row + 0.5) - records[r + WHOLE_Y]
                         u = records[r + UX] * x + (records[r + UY] * y + records[r + U0])

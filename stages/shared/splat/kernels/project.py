@@ -241,6 +241,12 @@ def _narrow(xx, xy, yy):
 
 
 @njit(forceinline=True)
+def _blurred(sharp, trace, eps2d):
+    """Determinant of a covariance + eps2d I, from that of the covariance: nothing cancels."""
+    return sharp + (trace + eps2d) * eps2d
+
+
+@njit(forceinline=True)
 def _split(center):
     """A coordinate in px as a whole number that float32 holds, and what is missing."""
     center = minimum(maximum(center, -1e30), 1e30)
@@ -326,10 +332,11 @@ def _project_lanes(table, place, camera, covars, width, height):
     sharp_xx, sharp_yy = maximum(_dot(row_x, through_x), 0.0), maximum(_dot(row_y, through_y), 0.0)
     xy, _ = _narrow(sharp_xx, _dot(row_x, through_y), sharp_yy)
     xx, yy = sharp_xx + camera[EPS2D], sharp_yy + camera[EPS2D]
-    determinant = xx * yy - xy * xy
+    sharp = maximum(sharp_xx * sharp_yy - xy * xy, 0.0)
+    determinant = _blurred(sharp, sharp_xx + sharp_yy, camera[EPS2D])
     opacity = _row(table, _OPACITY, place)
     if camera[ANTIALIASED] > 0:
-        opacity = opacity * root(maximum(sharp_xx * sharp_yy - xy * xy, 0.0) / determinant)
+        opacity = opacity * root(sharp / determinant)
     log_opacity = _log2(maximum(opacity, 1e-30))
     # u^2 + v^2 <= reach is the ellipse on which alpha falls to the cut.
     reach = log_opacity - _LOG2_CUT
@@ -471,7 +478,8 @@ def _project_lanes_backward(table, place, camera, covars, of_camera):
     sharp_xx, sharp_yy = maximum(_dot(row_x, through_x), 0.0), maximum(_dot(row_y, through_y), 0.0)
     xy, within = _narrow(sharp_xx, _dot(row_x, through_y), sharp_yy)
     xx, yy = sharp_xx + camera[EPS2D], sharp_yy + camera[EPS2D]
-    inverse_det = 1.0 / (xx * yy - xy * xy)
+    sharp = maximum(sharp_xx * sharp_yy - xy * xy, 0.0)
+    inverse_det = 1.0 / _blurred(sharp, sharp_xx + sharp_yy, camera[EPS2D])
     shared = root(inverse_det * HALF_LOG2E / yy)
     ux, u_y, vy = yy * shared, 0.0 - xy * shared, root(HALF_LOG2E / yy)
 
@@ -496,7 +504,6 @@ def _project_lanes_backward(table, place, camera, covars, of_camera):
         - g_vy * vy * 0.5 / yy
     )
     if camera[ANTIALIASED] > 0:
-        sharp = sharp_xx * sharp_yy - xy * xy
         inverse_sharp = where(sharp > 0.0, 1.0 / maximum(sharp, 1e-300), 0.0)
         half = sum_h * 0.5
         g_xx = g_xx + half * (sharp_yy * inverse_sharp - yy * inverse_det)

@@ -35,7 +35,7 @@ class LearningRates:
     """Adam's step sizes: of the networks, the anchors (m), the attributes per texel (their own units)."""
 
     network: float = 2e-3
-    anchors: float = 4e-4
+    anchors: float = 1e-3
     offset: float = 1e-4
     quaternion: float = 2e-3
     opacity: float = 2e-2
@@ -86,11 +86,11 @@ class TrainConfig:
 _ECONOMY = LossWeights(
     ssim=0.2,
     penetration=50.0,
-    offset=1.0,
+    offset=2.0,
     smooth=0.002,
     opacity=0.005,
     seam=0.0005,
-    flow=2.0,
+    flow=10.0,
     covered_skin=0.02,
 )
 DRAFT = TrainConfig(weights=_ECONOMY, model=ModelConfig(anchors=40))

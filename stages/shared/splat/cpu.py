@@ -283,7 +283,7 @@ class _Rasterize(torch.autograd.Function):
             pictures = [x[i].numpy() for x in (features, alpha, depth)]
             g_pictures = [x[i].numpy() for x in incoming]
             numbers = view_backward(gaussians, view, pictures, g_pictures, arrays, i > 0, sizes)
-            g_camera = torch.from_numpy(numbers).float()
+            g_camera = torch.from_numpy(numbers.clip(-projection.LARGEST, projection.LARGEST)).float()
             g_viewmats[i, :3, :3], g_viewmats[i, :3, 3] = g_camera[:9].reshape(3, 3), g_camera[9:12]
             g_Ks[i, [0, 1, 0, 1], [0, 1, 2, 2]] = g_camera[12:]
         g_background = None

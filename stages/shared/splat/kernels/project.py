@@ -72,6 +72,8 @@ CAMERA_LENGTH = 24
 CAMERA_GRADIENTS = 16
 """Gradients of R, t and fx fy cx cy come back in this order."""
 
+LARGEST = 1e38
+"""Gradients stay within this, inside the range of float32."""
 REFUSED = np.int32(-1)
 """In `counts`: the Gaussian's numbers cannot be rendered."""
 
@@ -107,6 +109,12 @@ def _row(table, row, place):
 @njit(forceinline=True)
 def _set(table, row, place, value):
     store(table, row * GROUP + place, value)
+
+
+@njit(forceinline=True)
+def _set_gradient(table, row, place, value):
+    """Saturating: a Gaussian of 1e18 m can have gradients beyond float32."""
+    store(table, row * GROUP + place, minimum(maximum(value, -LARGEST), LARGEST))
 
 
 @njit(forceinline=True)
@@ -511,7 +519,7 @@ def _project_lanes_backward(table, place, camera, covars, of_camera):
         g_xy = g_xy - sum_h * xy * (inverse_sharp - inverse_det)
     g_xy = where(within, g_xy, 0.0)
     opacity = _row(table, _OPACITY, place)
-    _set(table, _G_OPACITY, place, where(opacity > 0.0, sum_h / maximum(opacity, 1e-30), 0.0))
+    _set_gradient(table, _G_OPACITY, place, where(opacity > 0.0, sum_h / maximum(opacity, 1e-30), 0.0))
 
     # 2-D covariance = (rows of J W) V (rows)^T -> V, and the rows.
     g_row_x = (
@@ -559,7 +567,7 @@ def _project_lanes_backward(table, place, camera, covars, of_camera):
     g_x, g_y = g_u * inverse_z, g_v * inverse_z
     g_z = _row(table, _SUMS + SUM_DEPTH, place) - g_inverse_z * inverse_z * inverse_z
     for k in range(3):
-        _set(table, _G_MEAN + k, place, g_x * camera[k] + g_y * camera[3 + k] + g_z * camera[6 + k])
+        _set_gradient(table, _G_MEAN + k, place, g_x * camera[k] + g_y * camera[3 + k] + g_z * camera[6 + k])
 
     # The camera: points = R means + t, and R once more in the rows.
     scale_x, scale_y = inverse_z * fx, inverse_z * fy
@@ -583,7 +591,7 @@ def _shape_backward(table, place, covars, g_covariance):
     """Covariance -> scales and quaternion: V = M S^2 M^T, M the rotation of q / |q|."""
     if covars is not None:
         for k in range(6):
-            _set(table, _G_SHAPE + k, place, g_covariance[k])
+            _set_gradient(table, _G_SHAPE + k, place, g_covariance[k])
     else:
         (w, x, y, z), inverse, m = _rotation(table, place)
         first = _product(g_covariance, (m[0], m[3], m[6]))
@@ -594,9 +602,9 @@ def _shape_backward(table, place, covars, g_covariance):
             _row(table, _SHAPE + 5, place),
             _row(table, _SHAPE + 6, place),
         )
-        _set(table, _G_SHAPE + 4, place, 2.0 * a * _dot(first, (m[0], m[3], m[6])))
-        _set(table, _G_SHAPE + 5, place, 2.0 * b * _dot(second, (m[1], m[4], m[7])))
-        _set(table, _G_SHAPE + 6, place, 2.0 * c * _dot(third, (m[2], m[5], m[8])))
+        _set_gradient(table, _G_SHAPE + 4, place, 2.0 * a * _dot(first, (m[0], m[3], m[6])))
+        _set_gradient(table, _G_SHAPE + 5, place, 2.0 * b * _dot(second, (m[1], m[4], m[7])))
+        _set_gradient(table, _G_SHAPE + 6, place, 2.0 * c * _dot(third, (m[2], m[5], m[8])))
         a, b, c = 2.0 * a * a, 2.0 * b * b, 2.0 * c * c
         g00, g10, g20 = first[0] * a, first[1] * a, first[2] * a
         g01, g11, g21 = second[0] * b, second[1] * b, second[2] * b
@@ -606,7 +614,7 @@ def _shape_backward(table, place, covars, g_covariance):
         gy = 2.0 * (x * (g01 + g10) + z * (g12 + g21) + w * (g02 - g20) - 2.0 * y * (g00 + g22))
         gz = 2.0 * (x * (g02 + g20) + y * (g12 + g21) + w * (g10 - g01) - 2.0 * z * (g00 + g11))
         along = gw * w + gx * x + gy * y + gz * z
-        _set(table, _G_SHAPE, place, (gw - along * w) * inverse)
-        _set(table, _G_SHAPE + 1, place, (gx - along * x) * inverse)
-        _set(table, _G_SHAPE + 2, place, (gy - along * y) * inverse)
-        _set(table, _G_SHAPE + 3, place, (gz - along * z) * inverse)
+        _set_gradient(table, _G_SHAPE, place, (gw - along * w) * inverse)
+        _set_gradient(table, _G_SHAPE + 1, place, (gx - along * x) * inverse)
+        _set_gradient(table, _G_SHAPE + 2, place, (gy - along * y) * inverse)
+        _set_gradient(table, _G_SHAPE + 3, place, (gz - along * z) * inverse)

@@ -24,7 +24,8 @@ from stages.shared.artifacts import Artifact, ExternalFiles, Progress, Workspace
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.avatar.model import LayerModel
 from stages.shared.body import BodyModel
-from stages.shared.capture import LAYERS, Capture, Take, open_capture
+from stages.shared.capture import LAYERS, Capture, Take
+from stages.shared.capture.subject import open_subject_capture
 from stages.shared.errors import BadData, MissingInput, UsageProblem
 from stages.shared.plan import Plan
 from stages.shared.poses import load_poses
@@ -128,15 +129,8 @@ class _Source:
 
 def _open(workspace: Workspace) -> _Source:
     registered, baked = workspace.require(REGISTER_TEMPLATE), workspace.require(BAKE_MAPS)
-    settings = workspace.settings()
-    if "capture" not in settings:
-        raise MissingInput(
-            "This subject was made from a mesh, without images to learn from.",
-            str(workspace.root),
-            "Register it from a capture: gw register-template CAPTURE -o SUBJECT",
-        )
     body = BodyModel.from_arrays(registered.arrays("body.safetensors"))
-    capture = open_capture(workspace.setting_path("capture"), settings.get("capture_format"), body)
+    capture = open_subject_capture(workspace, body)
     name = registered.summary.get("take")
     takes = {take.name: take for take in capture.training_takes}
     if name not in takes:

@@ -16,10 +16,12 @@ import torch
 from torch import Tensor
 
 from stages.shared.errors import BadData
+from stages.shared.report import SILENT, Report
 from stages.shared.splat.kernels import layout
 from stages.shared.splat.kernels import project as projection
 from stages.shared.splat.kernels.blend import blend, median_depths
 from stages.shared.splat.kernels.blend_backward import blend_backward
+from stages.shared.splat.kernels.compiling import told_to
 from stages.shared.splat.kernels.order import count_tiles, depth_order, fill_tiles, place_tiles
 from stages.shared.splat.kernels.threads import run_together
 from stages.shared.splat.rendering import Rendering
@@ -323,3 +325,19 @@ def render_scene(scene: Scene) -> Rendering:
         depth.transpose(0, 1),
         median.transpose(0, 1) if scene.median else None,
     )
+
+
+def warm_up(report: Report = SILENT, channels: tuple[int, ...] = (3,), layers: bool = False) -> None:
+    """Have the kernels for these channel counts ready, compiled or read from disk; says so when compiling."""
+    with told_to(report.say):
+        for count in channels:
+            sizes = Sizes(16, 16, count, 1 if layers else None, False, SplatSettings(), layout.host_lanes())
+            ids = torch.zeros(1, dtype=torch.int32) if layers else None
+            mean, camera = torch.tensor([[0.0, 0.0, 2.0]]), torch.eye(4)[None]
+            intrinsics = torch.tensor([[[20.0, 0, 8], [0, 20, 8], [0, 0, 1]]])
+            turned, scale = torch.tensor([[1.0, 0, 0, 0]]), torch.full((1, 3), 0.1)
+            for shape in ((turned, scale, None), (None, None, torch.eye(3)[None] * 0.01)):
+                colors = torch.ones(1, count, requires_grad=True)
+                arguments = (mean, *shape, torch.ones(1), colors, camera, intrinsics, None)
+                with torch.enable_grad():
+                    _Rasterize.apply(sizes, ids, *arguments)[1].sum().backward()

@@ -98,16 +98,18 @@ def _finish_tile(state, sets, planes, count, top, left, width, height, backgroun
 
 
 @njit(forceinline=True)
-def _empty_tile(sets, top, left, width, height, background, features, alpha, depth):
-    channels = len(background)
+def _empty_tile(sets, top, left, width, height, background_row, features, alpha, depth):
+    """The background where nothing is; `background_row` is a row of a tile of it."""
+    channels = len(background_row) // TILE
+    across = min(TILE, width - left)
     for picture in range(sets):
         for row in range(top, min(top + TILE, height)):
-            for column in range(left, min(left + TILE, width)):
-                pixel = (picture * height + row) * width + column
-                alpha[pixel] = ZERO
-                depth[pixel] = ZERO
-                for c in range(channels):
-                    features[pixel * channels + c] = background[c]
+            pixel = (picture * height + row) * width + left
+            for i in range(across):
+                set_at(alpha, pixel + i, ZERO)
+                set_at(depth, pixel + i, ZERO)
+            for i in range(across * channels):
+                set_at(features, pixel * channels + i, at(background_row, i))
 
 
 @njit(forceinline=True)
@@ -193,6 +195,9 @@ def blend(
     live = np.empty(sets, np.int64)
     reached = np.empty(_STRETCH, np.int32)
     pixels = bank(planes, np.empty(depth_and_colors * count, np.float32), lanes)
+    background_row = np.empty(TILE * len(background), np.float32)
+    for i in range(len(background_row)):
+        background_row[i] = background[i % len(background)]
     number = numbers(constants, lanes)
     lane_x, lane_y = load(constants, NUMBERS * count, lanes), load(constants, (NUMBERS + 1) * count, lanes)
     while True:
@@ -202,7 +207,7 @@ def blend(
         first, last = starts[tile], starts[tile + 1]
         top, left = (tile // columns) * TILE, (tile % columns) * TILE
         if first == last:
-            _empty_tile(sets, top, left, width, height, background, features, alpha, depth)
+            _empty_tile(sets, top, left, width, height, background_row, features, alpha, depth)
             continue
         _start_tile(state, live, sets, depth_and_colors, count, top, left, width, height)
         for begin in range(first, last, _STRETCH):

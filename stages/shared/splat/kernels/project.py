@@ -113,8 +113,10 @@ def _set(table, row, place, value):
 
 @njit(forceinline=True)
 def _set_gradient(table, row, place, value):
-    """Saturating: a Gaussian of 1e18 m can have gradients beyond float32."""
-    store(table, row * GROUP + place, minimum(maximum(value, -LARGEST), LARGEST))
+    """Saturating: a Gaussian of 1e18 m can have gradients beyond float32. (Not a number stays what it is.)"""
+    store(
+        table, row * GROUP + place, where(value > LARGEST, LARGEST, where(value < -LARGEST, -LARGEST, value))
+    )
 
 
 @njit(forceinline=True)

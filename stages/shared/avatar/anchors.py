@@ -59,20 +59,22 @@ class AnchorOffsets(nn.Module):
         return blend.view(2, channels // 2, height, width)
 
 
-def sampled_maps(images: Tensor, points: Tensor, views: list[Tensor]) -> Tensor:
+def sampled_maps(images: Tensor, points: Tensor, front: int) -> Tensor:
     """Maps (2, C, h, w) at every texel (N, C), bilinear.
 
     Arguments:
-        points: (N, 2) x, y in −1..1 from edge to edge. views: two (N,) bool, texels of front and back.
+        points: (N, 2) x, y in −1..1 from edge to edge; the first `front` of them on the front map.
     """
-    values = images.new_zeros(len(points), images.shape[1])
-    for view, member in enumerate(views):
+    parts = []
+    for view, part in enumerate((points[:front], points[front:])):
+        if len(part) == 0:
+            continue
         found = functional.grid_sample(
             images[view : view + 1],
-            points[member][None, None],
+            part[None, None],
             mode="bilinear",
             padding_mode="border",
             align_corners=False,
         )
-        values = values.index_put((member.nonzero()[:, 0],), found[0, :, 0].T)
-    return values
+        parts.append(found[0, :, 0].T)
+    return torch.cat(parts) if parts else images.new_zeros(0, images.shape[1])

@@ -161,6 +161,8 @@ def _check(arrays: dict[str, np.ndarray], grid_size: int, where: str) -> None:
     high = np.array([2, row0 + height, col0 + width])
     texels = arrays["texels"]
     inside = min(row0, col0) >= 0 and max(row0 + height, col0 + width) <= grid_size <= 1 << 15
+    if (np.diff(texels[:, 0]) < 0).any():
+        raise _broken("Texels of the back stand before texels of the front.", where)
     if not inside or min(height, width) < 0 or (texels < low).any() or (texels >= high).any():
         raise _broken("A texel lies outside the window, or the window outside the grid.", where)
     neighbours, seams = arrays["neighbours"], arrays["seams"]

@@ -56,7 +56,7 @@ class LayerModel(nn.Module):
         grid = network_grid(maps.window, config.factor, config.depth)
         self.positional = PositionalMaps(maps, grid, config.input_views)
         self.register_buffer("sample_points", _sample_points(maps, grid), persistent=False)
-        self._views = [maps.texels[:, 0] == view for view in range(2)]
+        self._front = int((maps.texels[:, 0] == 0).sum())
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             outputs = (14,) if config.heads == "joint" else (3, 3, 8)
@@ -133,6 +133,8 @@ class LayerModel(nn.Module):
         With `normalise`, the mean of the input is taken per pixel and its scale as one number, so that still
         parts stay small beside moving ones. Anchors are chosen among the poses.
         """
+        if len(self.positional.used) == 0:
+            return
         images = torch.cat([self.positional(pose) for pose in poses])
         if self.model_config.normalise:
             mean = images.mean(dim=0, keepdim=True)
@@ -164,7 +166,8 @@ class LayerModel(nn.Module):
 
     def attributes(self, residual: Tensor) -> Attributes:
         """Base attributes plus a residual (N, 14), through the heads' activations."""
-        part = {name: residual[:, low:high] for name, (low, high) in CHANNELS.items()}
+        widths = [high - low for low, high in CHANNELS.values()]
+        part = dict(zip(CHANNELS, residual.split(widths, dim=1), strict=True))
         config = self.model_config
         log_scale = self.base_scale + part["scale"]
         if config.max_scale > 0:
@@ -180,7 +183,7 @@ class LayerModel(nn.Module):
 
     def _sampled(self, images: Tensor) -> Tensor:
         """Maps (2, C, h, w) of the window at every texel (N, C)."""
-        return sampled_maps(images, self.sample_points, self._views)
+        return sampled_maps(images, self.sample_points, self._front)
 
     def _with_anchors(self, residual: Tensor, image: Tensor) -> Tensor:
         """Add the anchors' offsets for the pose of the input image (1, C, h, w) to a residual (N, 14)."""

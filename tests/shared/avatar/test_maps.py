@@ -52,6 +52,7 @@ def test_covered_texels_share_a_pixel() -> None:
     ("name", "spoil"),
     [
         ("texels", lambda a: a + 1000),
+        ("texels", lambda a: a[::-1]),
         ("positions", lambda a: a * np.nan),
         ("neighbours", lambda a: a + 10**6),
         ("seams", lambda a: a - 10**6),

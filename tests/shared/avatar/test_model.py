@@ -5,16 +5,18 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
 from stages.shared.avatar.compose import compose
 from stages.shared.avatar.config import PAPER_MODEL, ModelConfig
 from stages.shared.avatar.deform import pose_layer, rotation_matrices
+from stages.shared.avatar.maps import LayerMaps
 from stages.shared.avatar.model import LayerModel, z_to
 from stages.shared.avatar.positional import PositionalMaps, network_grid
 from stages.shared.errors import BadData
-from tests.shared.avatar.tubes import tube
+from tests.shared.avatar.tubes import CENTRE, GRID, PITCH, tube, tube_arrays
 
 SMALL = ModelConfig(width=0.0625, depth=2, style=8, factor=4)
 SEPARATE = ModelConfig(
@@ -142,6 +144,21 @@ def test_positional_map_of_the_canonical_pose_is_the_surface() -> None:
     front = image[0, :3, grid.row : grid.row + maps.window[2], grid.column : grid.column + maps.window[3]]
     assert torch.allclose(front, maps.to_image(maps.positions)[0], atol=1e-6)
     assert image.abs().sum() == pytest.approx(maps.positions.abs().sum().item(), rel=1e-4)
+
+
+@pytest.mark.parametrize("chosen", [slice(0, 0), slice(0, 1), slice(-1, None)])
+def test_layers_of_one_texel_or_none(chosen: slice) -> None:
+    arrays = tube_arrays()
+    few = {name: a[chosen] for name, a in arrays.items() if name not in ("window", "seams")}
+    few["neighbours"] = np.full_like(few["neighbours"], -1)
+    few |= {"window": arrays["window"], "seams": np.zeros((0, 2), np.int32)}
+    maps = LayerMaps.from_arrays("upper", few, PITCH, CENTRE, GRID)
+    model = LayerModel(maps, replace(SMALL, anchors=2))
+    model.fit_input([_pose(-0.5), _pose(0.5)])
+    posed = pose_layer(maps, model(_pose(0.2)), _pose(0.2), torch.zeros(10))
+    assert len(posed.means) == len(maps)
+    assert torch.isfinite(posed.means).all() and torch.isfinite(posed.normals).all()
+    posed.means.sum().backward()
 
 
 def test_discs_for_any_normal() -> None:

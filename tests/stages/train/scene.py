@@ -32,7 +32,7 @@ TINY = replace(
     image_scale=1.0,
     coarse_until=0.0,
     rates=LearningRates(offset=1e-3, color=0.1),
-    model=ModelConfig(width=0.0625, depth=2, style=8, factor=4),
+    model=ModelConfig(width=0.0625, depth=2, style=8, factor=4, anchors=3),
 )
 
 

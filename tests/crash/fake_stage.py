@@ -86,6 +86,19 @@ class CountingLayer(FileLayer):
         self.after("make_folder")
 
 
+class FailingLayer(CountingLayer):
+    """The operating system refuses one call."""
+
+    def __init__(self, at: int, code: int) -> None:
+        super().__init__()
+        self.at, self.code = at, code
+
+    def before(self, kind: str) -> None:
+        super().before(kind)
+        if len(self.calls) - 1 == self.at:
+            raise OSError(self.code, "injected")
+
+
 class KillingLayer(CountingLayer):
     """SIGKILL to this very process at one call: no handler runs, no buffer is written."""
 

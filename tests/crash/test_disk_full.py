@@ -15,22 +15,9 @@ from stages.shared.artifacts import Workspace
 from stages.shared.artifacts.files import using_layer
 from stages.shared.artifacts.verify import verify
 from stages.shared.errors import StorageFailure
-from tests.crash.fake_stage import Config, CountingLayer, run
+from tests.crash.fake_stage import Config, CountingLayer, FailingLayer, run
 
 Undisturbed = tuple[tuple[str, str], list[str]]
-
-
-class FailingLayer(CountingLayer):
-    """The operating system refuses one call."""
-
-    def __init__(self, at: int, code: int) -> None:
-        super().__init__()
-        self.at, self.code = at, code
-
-    def before(self, kind: str) -> None:
-        super().before(kind)
-        if len(self.calls) - 1 == self.at:
-            raise OSError(self.code, "injected")
 
 
 class FinishNoticing(CountingLayer):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,10 +12,14 @@ import pytest
 from typer.testing import CliRunner
 
 from gw_cli.app import app
+from stages.shared.artifacts.bundle import write_bundle
+from stages.shared.artifacts.files import using_layer
 from stages.shared.body.poses import npz_bytes
 from stages.shared.capture import LABELS
+from tests.crash.fake_stage import FailingLayer
 from tests.shared.capture import scene
 from tests.shared.capture.people import FRAMES, SIDE, rest_poses, write_person
+from tests.shared.outfit.wardrobe import bundle, worn
 
 WALK = Path("takes/walk")
 
@@ -131,6 +136,31 @@ def test_spoiled_mesh(tmp_path: Path, command: str, content: str, code: int, say
     expect_three_lines(lines, "mesh.ply")
     assert says in lines[-3]
     assert not artifacts(subject)
+
+
+def test_a_full_disk(person: Path, tmp_path: Path) -> None:
+    subject = tmp_path / "subject"
+    with using_layer(FailingLayer(at=25, code=errno.ENOSPC)):
+        found, lines = run("register-template", person, "-o", subject, "--template", "body")
+    assert found == 74, lines
+    expect_three_lines(lines, str(subject))
+    assert "full" in lines[-3]
+    assert not artifacts(subject)
+    assert run("register-template", person, "-o", subject, "--template", "body")[0] == 0
+
+
+@pytest.mark.parametrize(("columns", "value", "says"), [(160, 0.0, "160"), (165, np.nan, "NaN")])
+def test_a_motion_nobody_can_wear(tmp_path: Path, columns: int, value: float, says: str) -> None:
+    motion, out = tmp_path / "motion.npz", tmp_path / "out"
+    poses = np.full((4, columns), value, np.float32)
+    motion.write_bytes(npz_bytes({"poses": poses, "trans": np.zeros((4, 3), np.float32)}))
+    body = tmp_path / "body.gwg"
+    write_bundle(body, bundle(worn("body")))
+    found, lines = run("tryon", body, "--poses", motion, "-o", out)
+    assert found == 65, lines
+    expect_three_lines(lines, "motion.npz")
+    assert says in "".join(lines[-3:])
+    assert not out.exists()
 
 
 def test_no_capture_at_all(tmp_path: Path) -> None:

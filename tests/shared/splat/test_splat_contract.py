@@ -280,7 +280,9 @@ def test_layer_ids_are_checked():
         replace(case, layer_ids=torch.zeros(5, dtype=torch.int32)).render("cpu")
 
 
-@pytest.mark.parametrize("option", [{"near": 0.0}, {"near": 2.0, "far": 1.0}, {"eps2d": 0.0}, {"far": float("nan")}])
+@pytest.mark.parametrize(
+    "option", [{"near": 0.0}, {"near": 2.0, "far": 1.0}, {"eps2d": 0.0}, {"far": float("nan")}]
+)
 def test_impossible_options_are_refused(option):
     with pytest.raises(UsageProblem):
         random_case(19, n=3).render("cpu", **option)

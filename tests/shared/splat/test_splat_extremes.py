@@ -1,4 +1,4 @@
-"""Numbers at the edge of float32: finite pictures and gradients, alpha in [0, 1), or a refusal that names the row.
+"""Numbers at the edge of float32: finite pictures and gradients, alpha in [0, 1), or a refusal naming the row.
 
 Never silent garbage: where the scene is finite, the float64 reference is the judge.
 """
@@ -20,7 +20,7 @@ BACKENDS = ("reference", "cpu")
 
 
 def sane(case: Case, backend: str) -> bool:
-    """Render and differentiate: True when everything is finite, False when it was refused by name and index."""
+    """Render and differentiate: True when all is finite, False when it was refused by name and index."""
     leaves = case.with_gradients()
     try:
         pictures = leaves.render(backend)

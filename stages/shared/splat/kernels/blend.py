@@ -9,8 +9,8 @@ planes transmittance, depth, colours.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from stages.shared.splat.kernels.compiling import inlined, kernel
 from stages.shared.splat.kernels.falloff import block_corner, falloff, numbers, pass_through, pixel_place
 from stages.shared.splat.kernels.lanes import (
     at,
@@ -59,7 +59,7 @@ _SLACK = np.float32(0.01)
 """Added to the reach of a Gaussian in the block test, in units of the exponent, against rounding."""
 
 
-@njit(forceinline=True)
+@inlined
 def _start_tile(state, live, sets, planes, count, top, left, width, height):
     """Empty pixels; those outside the image are stopped from the beginning."""
     set_size = planes * TILE_PIXELS
@@ -78,7 +78,7 @@ def _start_tile(state, live, sets, planes, count, top, left, width, height):
                 state[place] = ONE if top + row < height and left + column < width else -ONE
 
 
-@njit(forceinline=True)
+@inlined
 def _finish_tile(state, sets, planes, count, top, left, width, height, background, features, alpha, depth):
     """Write a tile's pixels, background behind them."""
     channels = len(background)
@@ -97,7 +97,7 @@ def _finish_tile(state, sets, planes, count, top, left, width, height, backgroun
                     )
 
 
-@njit(forceinline=True)
+@inlined
 def _empty_tile(sets, top, left, width, height, background_row, features, alpha, depth):
     """The background where nothing is; `background_row` is a row of a tile of it."""
     channels = len(background_row) // TILE
@@ -112,7 +112,7 @@ def _empty_tile(sets, top, left, width, height, background_row, features, alpha,
                 set_at(features, pixel * channels + i, at(background_row, i))
 
 
-@njit(forceinline=True)
+@inlined
 def _reached_blocks(records, record, constants, top, left, lanes):
     """Bits of the blocks that a Gaussian may reach: u and v are bounded over a block separately.
 
@@ -139,7 +139,7 @@ def _reached_blocks(records, record, constants, top, left, lanes):
     return found
 
 
-@njit(forceinline=True)
+@inlined
 def _add(pixels, records, record, alpha, number, channels):
     """Put a Gaussian behind what a block of one picture has so far; returns which lanes are still open."""
     weight, after, still_open = pass_through(get(pixels, 0), alpha, number)
@@ -149,7 +149,7 @@ def _add(pixels, records, record, alpha, number, channels):
     return still_open
 
 
-@njit(forceinline=True)
+@inlined
 def _add_layered(
     pixels, state, live, bit, own, set_size, block_place, records, record, alpha, keep, number, lanes,
     channels,
@@ -173,7 +173,7 @@ def _add_layered(
     return touched != 0, anything != 0
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def blend(
     turn, starts, gaussians, records, stride, background, features, alpha, depth, blocks, width, height,
     layer_ids, layers, constants, lanes, channels, planes,
@@ -276,7 +276,7 @@ def blend(
         )
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def median_depths(
     turn,
     starts,

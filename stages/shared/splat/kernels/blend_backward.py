@@ -13,9 +13,9 @@ Gaussian) go to a slot of its own: nothing is added concurrently, and the order 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from stages.shared.splat.kernels.blend import AHEAD, ONE, ZERO
+from stages.shared.splat.kernels.compiling import inlined, kernel
 from stages.shared.splat.kernels.falloff import block_corner, falloff, numbers, pass_through, pixel_place
 from stages.shared.splat.kernels.lanes import (
     at,
@@ -57,7 +57,7 @@ _REST, _G_ALPHA, _G_DEPTH = 1, 2, 3
 _PLANES = 4
 
 
-@njit(forceinline=True)
+@inlined
 def _start_tile(
     state, sets, planes, count, top, left, width, height, background, features, alpha, depth, g_features,
     g_alpha, g_depth,
@@ -89,7 +89,7 @@ def _start_tile(
                 state[place + _G_DEPTH * count] = of_depth
 
 
-@njit(forceinline=True)
+@inlined
 def _pull(pixels, records, record, opaque, inverse, number, grads, channels):
     """One picture's part of d(loss)/d(alpha) of a block; adds depth and colour gradients to the bank."""
     before = get(pixels, 0)
@@ -105,7 +105,7 @@ def _pull(pixels, records, record, opaque, inverse, number, grads, channels):
     return where(still_open, fma(before, value, negative(rest * inverse)), ZERO)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def blend_backward(
     turn, starts, gaussians, records, stride, background, features, alpha, depth, blocks, g_features, g_alpha,
     g_depth, sums, width, height, layer_ids, layers, constants, lanes, channels, slot,

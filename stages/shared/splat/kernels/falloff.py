@@ -5,8 +5,7 @@ They must take the same decisions at the cut-offs bit for bit, so there is one c
 
 from __future__ import annotations
 
-from numba import njit
-
+from stages.shared.splat.kernels.compiling import inlined
 from stages.shared.splat.kernels.lanes import (
     at,
     fma,
@@ -35,7 +34,7 @@ from stages.shared.splat.kernels.layout import (
 # (compiled and type-checked by numba)
 
 
-@njit(forceinline=True)
+@inlined
 def numbers(constants, lanes):
     """The numbers of `layout.constants` in registers: shift, six coefficients, cut, largest alpha, stop."""
     n = len(lanes)
@@ -47,7 +46,7 @@ def numbers(constants, lanes):
     )  # fmt: skip
 
 
-@njit(forceinline=True)
+@inlined
 def falloff(pixel_x, pixel_y, records, record, number, lanes):
     """(X, Y, u, v, power of two, alpha, which lanes reach the cut); alpha is 0 where they do not.
 
@@ -69,7 +68,7 @@ def falloff(pixel_x, pixel_y, records, record, number, lanes):
     return x, y, u, v, power, where(keep, minimum(power, number[8]), 0.0), keep
 
 
-@njit(forceinline=True)
+@inlined
 def pass_through(before, alpha, number):
     """Transmittance in front -> (weight, transmittance behind, which lanes are still open).
 
@@ -81,7 +80,7 @@ def pass_through(before, alpha, number):
     return weight, where(still_open, after, negative(magnitude(before))), still_open
 
 
-@njit(forceinline=True)
+@inlined
 def pixel_place(row, column, count, planes):
     """Where pixel (row, column) of a tile is in a picture's state, laid out [block][plane][lane]."""
     height = count // BLOCK_WIDTH
@@ -89,7 +88,7 @@ def pixel_place(row, column, count, planes):
     return block * planes * count + (row % height) * BLOCK_WIDTH + column % BLOCK_WIDTH
 
 
-@njit(forceinline=True)
+@inlined
 def block_corner(block, count, top, left):
     """Pixel (x, y) of the first lane of a block of the tile at (top, left)."""
     x = left + (block % BLOCKS_ACROSS) * BLOCK_WIDTH

@@ -7,8 +7,8 @@ on the scene only, not on how the work was shared.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from stages.shared.splat.kernels.compiling import kernel
 from stages.shared.splat.kernels.lanes import at, prefetch, take
 from stages.shared.splat.kernels.layout import TILE_SHIFT
 
@@ -20,7 +20,7 @@ _BUCKETS = 1 << _DIGIT
 _AHEAD = 16
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def depth_order(keys, counts, first_slots):
     """(rows with counts > 0 in order of `keys`, ties by row; total of counts, -1 if one is negative).
 
@@ -63,7 +63,7 @@ def depth_order(keys, counts, first_slots):
     return rows_a[:visible], total
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def count_tiles(turn, order, boxes, columns, tallies):
     """Entries per tile, chunk of the order by chunk: tallies (chunks, tiles), zeroed before."""
     chunks = len(tallies)
@@ -80,7 +80,7 @@ def count_tiles(turn, order, boxes, columns, tallies):
                     tallies[chunk, row * columns + column] += 1
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def place_tiles(tallies, starts):
     """Counts per (chunk, tile) -> first place of each, by tile and within by chunk; starts of tiles."""
     place = 0
@@ -93,7 +93,7 @@ def place_tiles(tallies, starts):
     starts[tallies.shape[1]] = place
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def fill_tiles(turn, order, boxes, first_slots, columns, tallies, gaussians, slots):
     """Write the tile lists: the row of every entry, and for every row where its entries went."""
     chunks = len(tallies)

@@ -11,8 +11,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from stages.shared.splat.kernels.compiling import inlined, kernel
 from stages.shared.splat.kernels.lanes import (
     at,
     bank,
@@ -101,17 +101,17 @@ _G_OPACITY = _G_SHAPE + 7
 _BACKWARD_ROWS = _G_OPACITY + 1
 
 
-@njit(forceinline=True)
+@inlined
 def _row(table, row, place):
     return load(table, row * GROUP + place, _LANES)
 
 
-@njit(forceinline=True)
+@inlined
 def _set(table, row, place, value):
     store(table, row * GROUP + place, value)
 
 
-@njit(forceinline=True)
+@inlined
 def _set_gradient(table, row, place, value):
     """Saturating: a Gaussian of 1e18 m can have gradients beyond float32. (Not a number stays what it is.)"""
     store(
@@ -119,7 +119,7 @@ def _set_gradient(table, row, place, value):
     )
 
 
-@njit(forceinline=True)
+@inlined
 def _log2(a):
     """log2 of positive normal doubles, error under 1e-12: 2 atanh(s) / ln 2 with s = (m - 1) / (m + 1)."""
     mantissa, exponent = split_exponent(a)
@@ -134,7 +134,7 @@ def _log2(a):
     return fma(s * series, 2.0 / math.log(2.0), exponent)
 
 
-@njit(forceinline=True)
+@inlined
 def _gather(table, group, count, means, quats, scales, covars, opacities):
     """Transpose `count` Gaussians into the table; the last one fills up the rest of the group."""
     for j in range(GROUP):
@@ -157,7 +157,7 @@ def _gather(table, group, count, means, quats, scales, covars, opacities):
         set_at(table, _OPACITY * GROUP + j, np.float64(at(opacities, g)))
 
 
-@njit(forceinline=True)
+@inlined
 def _rotation(table, place):
     """Unit quaternion (w x y z), 1 / length of the given one, and the nine entries of its matrix."""
     w, x, y, z = (
@@ -176,7 +176,7 @@ def _rotation(table, place):
     return (w, x, y, z), inverse, matrix
 
 
-@njit(forceinline=True)
+@inlined
 def _covariance(table, place, covars):
     """Entries xx xy xz yy yz zz of the covariance in the world."""
     if covars is None:
@@ -201,7 +201,7 @@ def _covariance(table, place, covars):
     )  # fmt: skip
 
 
-@njit(forceinline=True)
+@inlined
 def _to_camera(table, place, camera):
     """Camera coordinates X Y Z of the means."""
     x, y, z = _row(table, _MEAN, place), _row(table, _MEAN + 1, place), _row(table, _MEAN + 2, place)
@@ -212,7 +212,7 @@ def _to_camera(table, place, camera):
     )
 
 
-@njit(forceinline=True)
+@inlined
 def _product(covariance, vector):
     """Symmetric 3 x 3 (six entries) times a vector."""
     xx, xy, xz, yy, yz, zz = covariance
@@ -220,12 +220,12 @@ def _product(covariance, vector):
     return a * xx + b * xy + c * xz, a * xy + b * yy + c * yz, a * xz + b * yz + c * zz
 
 
-@njit(forceinline=True)
+@inlined
 def _dot(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@njit(forceinline=True)
+@inlined
 def _planar_rows(camera, inverse_z, u, v):
     """The two rows of J W: how a step in the world moves the projection."""
     scale_x, scale_y = inverse_z * camera[FX], inverse_z * camera[FY]
@@ -242,7 +242,7 @@ def _planar_rows(camera, inverse_z, u, v):
     return row_x, row_y
 
 
-@njit(forceinline=True)
+@inlined
 def _narrow(xx, xy, yy):
     """Limit the off-diagonal entry to what a covariance can have; also whether it was within."""
     limit = root(xx * yy)
@@ -250,13 +250,13 @@ def _narrow(xx, xy, yy):
     return minimum(maximum(xy, 0.0 - limit), limit), within
 
 
-@njit(forceinline=True)
+@inlined
 def _blurred(sharp, trace, eps2d):
     """Determinant of a covariance + eps2d I, from that of the covariance: nothing cancels."""
     return sharp + (trace + eps2d) * eps2d
 
 
-@njit(forceinline=True)
+@inlined
 def _split(center):
     """A coordinate in px as a whole number that float32 holds, and what is missing."""
     center = minimum(maximum(center, -1e30), 1e30)
@@ -264,7 +264,7 @@ def _split(center):
     return whole, center - whole
 
 
-@njit(forceinline=True)
+@inlined
 def _acceptable(table, place, covars):
     """False for numbers that `scene.check_gaussians` refuses: it then finds out which and why."""
     everything = _row(table, _OPACITY, place)
@@ -283,7 +283,7 @@ def _acceptable(table, place, covars):
     return fine & (minimum(minimum(xx, yy), zz) >= 0.0)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def project(
     turn, means, quats, scales, covars, opacities, colors, channels, camera, width, height,
     records, stride, boxes, depths, counts,
@@ -327,7 +327,7 @@ def project(
                 set_at(counts, g, np.int32(across * ((bottom >> TILE_SHIFT) - (top >> TILE_SHIFT) + 1)))
 
 
-@njit(forceinline=True)
+@inlined
 def _project_lanes(table, place, camera, covars, width, height):
     x, y, z = _to_camera(table, place, camera)
     inside = (z > camera[NEAR]) & (z < camera[FAR])
@@ -378,7 +378,7 @@ def _project_lanes(table, place, camera, covars, width, height):
     _set(table, _O_BOTTOM, place, bottom)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def project_backward(
     turn, means, quats, scales, covars, opacities, camera, counts, first_slots, slots, sums, lanes, slot,
     channels, add, g_means, g_quats, g_scales, g_covars, g_opacities, g_colors, g_camera,
@@ -438,13 +438,13 @@ def project_backward(
             g_camera[mine * CAMERA_GRADIENTS + k] = total(load(of_camera, k * WIDE, _LANES))
 
 
-@njit(forceinline=True)
+@inlined
 def _give(array, index, value, add):
     """Write a gradient, or add it."""
     set_at(array, index, at(array, index) + value if add else value)
 
 
-@njit(forceinline=True)
+@inlined
 def _scatter(table, group, count, add, g_means, g_quats, g_scales, g_covars, g_opacities):
     """The table's gradients to their rows; a covariance's in full, symmetric."""
     for j in range(count):
@@ -468,12 +468,12 @@ def _scatter(table, group, count, add, g_means, g_quats, g_scales, g_covars, g_o
         _give(g_opacities, g, np.float32(at(table, _G_OPACITY * GROUP + j)), add)
 
 
-@njit(forceinline=True)
+@inlined
 def _more(of_camera, k, value):
     store(of_camera, k * WIDE, load(of_camera, k * WIDE, _LANES) + value)
 
 
-@njit(forceinline=True)
+@inlined
 def _project_lanes_backward(table, place, camera, covars, of_camera):
     # Forward again, as far as needed.
     x, y, z = _to_camera(table, place, camera)
@@ -588,7 +588,7 @@ def _project_lanes_backward(table, place, camera, covars, of_camera):
     _more(of_camera, 15, g_center_y)
 
 
-@njit(forceinline=True)
+@inlined
 def _shape_backward(table, place, covars, g_covariance):
     """Covariance -> scales and quaternion: V = M S^2 M^T, M the rotation of q / |q|."""
     if covars is not None:

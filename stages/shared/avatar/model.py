@@ -29,6 +29,9 @@ from stages.shared.nets.styleunet import StyleUNet, ViewNet
 CHANNELS = {"offset": (0, 3), "quaternion": (3, 7), "opacity": (7, 8), "scale": (8, 11), "color": (11, 14)}
 _MIN_SCALE = 1e-5
 _FLATNESS = 0.3
+_USUAL_DEPARTURE = 0.05  # m, between poses, where the input is not normalised
+_BODY_JOINTS = 22  # without face and fingers
+_ROTATION_SHARE = 0.3 / (0.2 * math.sqrt(9 * _BODY_JOINTS))  # matrix entries usually differ by 0.2
 _LEAST_DEPARTURE = 0.01  # m; less is noise, not motion
 
 
@@ -78,7 +81,7 @@ class LayerModel(nn.Module):
         self.anchors = None
         if config.anchors > 0 and maps.layer != "body":
             size = tuple(math.ceil(s * config.factor / config.anchor_cell) for s in (grid.height, grid.width))
-            described = self.positional.channels * len(self.positional.used)
+            described = self.positional.channels * len(self.positional.used) + 9 * _BODY_JOINTS
             self.anchors = AnchorOffsets(config.anchors, size, described)  # type: ignore[arg-type]
         self.cosines = CosineMaps(maps, grid) if config.view_conditioning else None
         for name, start in _start(maps, config).items():
@@ -143,7 +146,10 @@ class LayerModel(nn.Module):
             self.input_scale.copy_(departure.square().mean().sqrt().clamp(min=_LEAST_DEPARTURE))
         if self.anchors is not None:
             seen = (images - self.input_mean) / self.input_scale
-            self.anchors.fit(torch.stack([self._description(image[None]) for image in seen]))
+            described = [
+                self._description(image[None], pose) for image, pose in zip(seen, poses, strict=True)
+            ]
+            self.anchors.fit(torch.stack(described))
 
     def residual(self, local_transforms: Tensor, cosines: Tensor | None = None) -> Tensor:
         """Pose-dependent part (N, 14) of the channels above, raw network output.
@@ -153,7 +159,7 @@ class LayerModel(nn.Module):
         """
         image = (self.positional(local_transforms) - self.input_mean) / self.input_scale
         if self.model_config.heads == "joint":
-            return self._with_anchors(self._sampled(self.networks[0](image)[0]), image)
+            return self._with_anchors(self._sampled(self.networks[0](image)[0]), image, local_transforms)
         features = None
         if self.view_net is not None and self.cosines is not None and cosines is not None:
             front, back = self.view_net(self.cosines(cosines))
@@ -162,7 +168,7 @@ class LayerModel(nn.Module):
         offset = self._sampled(self.networks[1](image)[0])
         other = self._sampled(self.networks[2](image)[0])
         joined = torch.cat((offset, other[:, 4:8], other[:, 0:1], other[:, 1:4], color), dim=1)
-        return self._with_anchors(joined, image)
+        return self._with_anchors(joined, image, local_transforms)
 
     def attributes(self, residual: Tensor) -> Attributes:
         """Base attributes plus a residual (N, 14), through the heads' activations."""
@@ -181,24 +187,33 @@ class LayerModel(nn.Module):
             colors=torch.sigmoid(color) if config.color == "sigmoid" else color,
         )
 
+    def forward(self, local_transforms: Tensor, cosines: Tensor | None = None) -> Attributes:
+        """Attributes in a pose; arguments as in `residual`."""
+        return self.attributes(self.residual(local_transforms, cosines))
+
     def _sampled(self, images: Tensor) -> Tensor:
         """Maps (2, C, h, w) of the window at every texel (N, C)."""
         return sampled_maps(images, self.sample_points, self._front)
 
-    def _with_anchors(self, residual: Tensor, image: Tensor) -> Tensor:
-        """Add the anchors' offsets for the pose of the input image (1, C, h, w) to a residual (N, 14)."""
+    def _with_anchors(self, residual: Tensor, image: Tensor, local_transforms: Tensor) -> Tensor:
+        """Add the anchors' offsets for a pose and its input image to a residual (N, 14)."""
         if self.anchors is None:
             return residual
-        offsets = self._sampled(self.anchors(self._description(image))) / self.model_config.offset_scale
+        offsets = (
+            self._sampled(self.anchors(self._description(image, local_transforms)))
+            / self.model_config.offset_scale
+        )
         return torch.cat((residual[:, :3] + offsets, residual[:, 3:]), dim=1)
 
-    def _description(self, image: Tensor) -> Tensor:
-        """What tells poses apart: the input image (1, C, h, w) where there are texels, (M,)."""
-        return image.flatten(start_dim=2)[0][:, self.positional.used].flatten()
+    def _description(self, image: Tensor, local_transforms: Tensor) -> Tensor:
+        """What tells poses apart, (M + 198,): the input image where there are texels, and joint rotations.
 
-    def forward(self, local_transforms: Tensor, cosines: Tensor | None = None) -> Attributes:
-        """Attributes in a pose; arguments as in `residual`."""
-        return self.attributes(self.residual(local_transforms, cosines))
+        Both parts are scaled so that a usual difference between poses is about 1, and 0.3 for the rotations.
+        """
+        seen = image[0].flatten(start_dim=1)[:, self.positional.used].flatten()
+        turned = local_transforms[:_BODY_JOINTS, :3, :3].flatten()
+        usual = 1.0 if self.model_config.normalise else _USUAL_DEPARTURE
+        return torch.cat((seen / (usual * math.sqrt(max(len(seen), 1))), turned * _ROTATION_SHARE))
 
 
 def _sample_points(maps: LayerMaps, grid: Any) -> Tensor:

@@ -45,6 +45,16 @@ def test_fewer_anchors_than_poses_spread_out() -> None:
     assert anchors.poses[:, 0].tolist() == [0.0, 4.0, 8.0]
 
 
+def test_near_poses_in_long_descriptions_are_all_taken() -> None:
+    generator = torch.Generator().manual_seed(0)
+    centre = 10 * torch.randn(1, 5000, generator=generator)
+    poses = centre + 1e-3 * torch.randn(8, 5000, generator=generator)
+    anchors = AnchorOffsets(8, (2, 3), 5000)
+    anchors.fit(poses)
+    for index in range(8):
+        assert anchors.weights(poses[index]).argmax() == index
+
+
 def test_equal_poses_do_not_break_the_bandwidth() -> None:
     anchors = AnchorOffsets(2, (2, 3), 3)
     anchors.fit(torch.zeros(4, 3))

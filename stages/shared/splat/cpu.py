@@ -23,7 +23,7 @@ from stages.shared.splat.kernels.blend import blend, median_depths
 from stages.shared.splat.kernels.blend_backward import blend_backward
 from stages.shared.splat.kernels.compiling import told_to
 from stages.shared.splat.kernels.order import count_tiles, depth_order, fill_tiles, place_tiles
-from stages.shared.splat.kernels.threads import run_together
+from stages.shared.splat.kernels.threads import run_alone, run_together
 from stages.shared.splat.rendering import Rendering
 from stages.shared.splat.scene import Scene, check_gaussians
 from stages.shared.splat.settings import FRUSTUM_MARGIN, SplatSettings
@@ -113,9 +113,9 @@ class View:
     records: np.ndarray  # (N * record,)
     counts: np.ndarray  # (N,) tiles per Gaussian
     first_slots: np.ndarray  # (N + 1,)
-    slots: np.ndarray  # (E,) places in the tile lists, Gaussian by Gaussian
     starts: np.ndarray  # (tiles + 1,)
     gaussians: np.ndarray  # (E,) tile lists: rows
+    slots: np.ndarray  # (E,) and where the gradient of each entry goes, Gaussian by Gaussian
     blocks: np.ndarray  # (E,) blocks of the tile that each entry changed
     layer_ids: np.ndarray | None  # (N,)
 
@@ -132,17 +132,24 @@ def camera_numbers(viewmat: np.ndarray, intrinsics: np.ndarray, sizes: Sizes) ->
     return np.array([*axes, fx, fy, cx, cy, left, right, top, bottom, *tail], np.float64)
 
 
+def _whole_lines(count: int) -> np.ndarray:
+    """Uninitialised float32 that begin at a cache line: records and slots are whole lines."""
+    room = np.empty(count + 16, np.float32)
+    skip = -(room.ctypes.data // 4) % 16
+    return room[skip : skip + count]
+
+
 def arrange(gaussians: Gaussians, camera: np.ndarray, background: np.ndarray, sizes: Sizes) -> View:
     """Project, sort by depth, sort into tiles."""
     n = len(gaussians.opacities)
-    records, boxes = np.empty(n * sizes.record, np.float32), np.empty(4 * n, np.uint16)
+    records, boxes = _whole_lines(n * sizes.record), np.empty(4 * n, np.uint16)
     depths, counts = np.empty(n, np.float32), np.empty(n, np.int32)
     run_together(
         projection.project, *gaussians.placed, gaussians.colors, sizes.channels, camera,
         float(sizes.width), float(sizes.height), records, sizes.record, boxes, depths, counts,
     )  # fmt: skip
     first_slots = np.empty(n + 1, np.int32)
-    order, entries = depth_order(depths.view(np.uint32), counts, first_slots)
+    order, entries = run_alone(depth_order, depths.view(np.uint32), counts, first_slots)
     if entries < 0:
         raise RefusedGaussians
     if entries > _MOST_ENTRIES:
@@ -154,7 +161,7 @@ def arrange(gaussians: Gaussians, camera: np.ndarray, background: np.ndarray, si
     tallies = np.zeros((max(torch.get_num_threads(), 1), sizes.tiles), np.int32)
     starts = np.empty(sizes.tiles + 1, np.int64)
     run_together(count_tiles, order, boxes, sizes.columns, tallies)
-    place_tiles(tallies, starts)
+    run_alone(place_tiles, tallies, starts)
     rows, slots, blocks = (
         np.empty(entries, np.int32),
         np.empty(entries, np.int32),
@@ -162,7 +169,7 @@ def arrange(gaussians: Gaussians, camera: np.ndarray, background: np.ndarray, si
     )
     run_together(fill_tiles, order, boxes, first_slots, sizes.columns, tallies, rows, slots)
     return View(
-        camera, background, records, counts, first_slots, slots, starts, rows, blocks, gaussians.layer_ids
+        camera, background, records, counts, first_slots, starts, rows, slots, blocks, gaussians.layer_ids
     )
 
 
@@ -199,15 +206,15 @@ def view_backward(
 ) -> np.ndarray:
     """Write (or add) the gradients of one camera's pictures to `outgoing`; return the camera's own (16,)."""
     lanes, slot = layout.lanes_argument(sizes.lanes), sizes.argument(sizes.slot)
-    sums = np.empty(len(view.gaussians) * sizes.slot, np.float32)
+    sums = _whole_lines(len(view.gaussians) * sizes.slot)
     run_together(
-        blend_backward, view.starts, view.gaussians, view.records, sizes.record, view.background,
+        blend_backward, view.starts, view.gaussians, view.slots, view.records, sizes.record, view.background,
         *(x.reshape(-1) for x in pictures), view.blocks, *(x.reshape(-1) for x in incoming), sums,
         *sizes.kernel_sizes(view.layer_ids), slot,
     )  # fmt: skip
     turns = -(-len(gaussians.opacities) // (layout.GROUP * layout.GROUPS_PER_TURN))
     shares = np.empty(turns * projection.CAMERA_GRADIENTS, np.float64)
-    seen = (view.camera, view.counts, view.first_slots, view.slots)
+    seen = (view.camera, view.counts, view.first_slots)
     run_together(
         projection.project_backward, *gaussians.placed, *seen, sums, lanes, slot, sizes.channels, add,
         *outgoing, shares,

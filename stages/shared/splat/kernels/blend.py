@@ -113,7 +113,7 @@ def _empty_tile(sets, top, left, width, height, background_row, features, alpha,
 
 
 @inlined
-def _reached_blocks(records, record, constants, top, left, lanes):
+def reached_blocks(records, record, constants, top, left, lanes):
     """Bits of the blocks that a Gaussian may reach: u and v are bounded over a block separately.
 
     u = UX X + UY Y + U0 is its value in the block's middle +- (UX half width + |UY| half height); v likewise.
@@ -229,7 +229,7 @@ def blend(
                 todo = live[0]
                 if layers is not None:
                     todo |= live[1 + np.int64(at(layer_ids, at(gaussians, entry)))]
-                todo &= _reached_blocks(records, record, constants, top, left, lanes)
+                todo &= reached_blocks(records, record, constants, top, left, lanes)
                 union |= todo
                 set_at(reached, entry - begin, np.int32(todo))
             for rest in range(end - begin, (end - begin + 63) & ~63):

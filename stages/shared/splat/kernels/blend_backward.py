@@ -29,6 +29,7 @@ from stages.shared.splat.kernels.lanes import (
     lowest_bit,
     negative,
     prefetch,
+    prefetch_to_write,
     put,
     spread,
     store,
@@ -107,10 +108,10 @@ def _pull(pixels, records, record, opaque, inverse, number, grads, channels):
 
 @kernel
 def blend_backward(
-    turn, starts, gaussians, records, stride, background, features, alpha, depth, blocks, g_features, g_alpha,
+    turn, starts, gaussians, slots, records, stride, background, features, alpha, depth, blocks, g_features, g_alpha,
     g_depth, sums, width, height, layer_ids, layers, constants, lanes, channels, slot,
 ):  # fmt: skip
-    """Gradients of the tiles this thread gets: sums (E * slot length,), entry by entry (see `layout`)."""
+    """Gradients of the tiles this thread gets: sums (E * slot length,), in the slot of each entry."""
     count = len(lanes)
     columns = (width + TILE - 1) // TILE
     tiles = len(starts) - 1
@@ -142,10 +143,11 @@ def blend_backward(
         for entry in range(first, last):
             if entry + AHEAD < last:
                 prefetch(records, at(gaussians, entry + AHEAD) * stride)
+                prefetch_to_write(sums, np.int64(at(slots, entry + AHEAD)) * length(slot))
             todo = np.int64(at(blocks, entry))
             if todo == 0:
                 for k in range(0, length(slot), count):
-                    store(sums, entry * length(slot) + k, zero)
+                    store(sums, np.int64(at(slots, entry)) * length(slot) + k, zero)
                 continue
             record = at(gaussians, entry) * stride
             own = 0
@@ -176,4 +178,4 @@ def blend_backward(
                 put(grads, SUM_HV, get(grads, SUM_HV) + hv)
                 put(grads, SUM_HVY, fma(hv, y, get(grads, SUM_HVY)))
             for k in range(0, length(slot), count):
-                store(sums, entry * length(slot) + k, lane_sums(grads, k))
+                store(sums, np.int64(at(slots, entry)) * length(slot) + k, lane_sums(grads, k))

@@ -391,20 +391,29 @@ def at(typingctx: Any, array: Any, index: Any) -> Any:
     return array.dtype(array, types.intp), lower
 
 
-@intrinsic
-def prefetch(typingctx: Any, array: Any, index: Any) -> Any:
-    """Ask for the cache line of array[index]."""
-
+def _prefetch(array: Any, to_write: int) -> Any:
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         place = _element_pointer(context, builder, sig.args[0], args[0], args[1])
         bytes_pointer = ir.IntType(8).as_pointer()
         kind = ir.FunctionType(ir.VoidType(), [bytes_pointer, _I32, _I32, _I32])
         function = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0")
-        options = [ir.Constant(_I32, value) for value in (0, 3, 1)]
+        options = [ir.Constant(_I32, value) for value in (to_write, 3, 1)]
         builder.call(function, [builder.bitcast(place, bytes_pointer), *options])
         return context.get_dummy_value()
 
     return types.void(array, types.intp), lower
+
+
+@intrinsic
+def prefetch(typingctx: Any, array: Any, index: Any) -> Any:
+    """Ask for the cache line of array[index], to read it."""
+    return _prefetch(array, 0)
+
+
+@intrinsic
+def prefetch_to_write(typingctx: Any, array: Any, index: Any) -> Any:
+    """Ask for the cache line of array[index], to write it."""
+    return _prefetch(array, 1)
 
 
 @intrinsic

@@ -95,7 +95,11 @@ def place_tiles(tallies, starts):
 
 @kernel
 def fill_tiles(turn, order, boxes, first_slots, columns, tallies, gaussians, slots):
-    """Write the tile lists: the row of every entry, and for every row where its entries went."""
+    """Write the tile lists: the row of every entry and the slot of its gradient.
+
+    Slots lie Gaussian by Gaussian: written here and there while blending backward, which hides it, they are read
+    in order when summed.
+    """
     chunks = len(tallies)
     while True:
         chunk = take(turn)
@@ -117,5 +121,5 @@ def fill_tiles(turn, order, boxes, first_slots, columns, tallies, gaussians, slo
                     place = tallies[chunk, tile]
                     tallies[chunk, tile] = place + 1
                     gaussians[place] = row_index
-                    slots[slot] = place
+                    slots[place] = slot
                     slot += 1

@@ -24,7 +24,6 @@ from stages.shared.splat.kernels.lanes import (
     magnitude,
     maximum,
     minimum,
-    prefetch,
     put,
     root,
     set_at,
@@ -81,8 +80,6 @@ WIDE = 8
 _LANES = (0,) * WIDE
 HALF_LOG2E = 0.5 * math.log2(math.e)
 _LOG2_CUT = math.log2(ALPHA_MIN)
-_AHEAD = 24
-"""Slots between asking for one and using it."""
 _MARGIN = 1e-3
 """px added to every side of the box, for the rounding of records to float32."""
 
@@ -380,7 +377,7 @@ def _project_lanes(table, place, camera, covars, width, height):
 
 @kernel
 def project_backward(
-    turn, means, quats, scales, covars, opacities, camera, counts, first_slots, slots, sums, lanes, slot,
+    turn, means, quats, scales, covars, opacities, camera, counts, first_slots, sums, lanes, slot,
     channels, add, g_means, g_quats, g_scales, g_covars, g_opacities, g_colors, g_camera,
 ):  # fmt: skip
     """Sum every Gaussian's slots, in order of its tiles, and carry the sums back to the inputs.
@@ -409,12 +406,10 @@ def project_backward(
                 any_seen |= at(counts, g) > 0
                 for k in range(parts):
                     put(whole, k, spread(np.float32(0.0), lanes))
-                for place in range(np.int64(at(first_slots, g)), np.int64(at(first_slots, g + 1))):
-                    ahead = np.int64(at(slots, min(place + _AHEAD, len(slots) - 1)))
-                    prefetch(sums, ahead * length(slot))
-                    slot_place = np.int64(at(slots, place)) * length(slot)
+                first, last = np.int64(at(first_slots, g)), np.int64(at(first_slots, g + 1))
+                for place in range(first * length(slot), last * length(slot), length(slot)):
                     for k in range(parts):
-                        put(whole, k, get(whole, k) + load(sums, slot_place + k * len(lanes), lanes))
+                        put(whole, k, get(whole, k) + load(sums, place + k * len(lanes), lanes))
                 for k in range(parts):
                     store(collected, j * length(slot) + k * len(lanes), get(whole, k))
             for j in range(count):

@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -40,17 +42,44 @@ def _helpers(count: int) -> ThreadPoolExecutor:
         return _pool
 
 
-def run_together(kernel: Callable[..., Any], *arguments: Any, threads: int | None = None) -> None:
+_watched: dict[str, float] | None = None
+
+
+@contextmanager
+def watch() -> Iterator[dict[str, float]]:
+    """Collect wall seconds by kernel name, of all calls inside the block (for measuring; not nested)."""
+    global _watched
+    _watched = {}
+    try:
+        yield _watched
+    finally:
+        _watched = None
+
+
+def run_alone(kernel: Callable[..., Any], *arguments: Any) -> Any:
+    """Call kernel(*arguments) in this thread."""
+    started = time.perf_counter()
+    result = kernel(*arguments)
+    if _watched is not None:
+        name = kernel.__name__
+        _watched[name] = _watched.get(name, 0.0) + time.perf_counter() - started
+    return result
+
+
+def run_together(kernel: Callable[..., Any], *arguments: Any) -> None:
     """Call kernel(turn, *arguments) in every thread; `turn` is the counter of work items they share."""
     turn = np.zeros(8, np.int64)
-    threads = torch.get_num_threads() if threads is None else threads
-    if threads <= 1:
-        kernel(turn, *arguments)
-        return
-    pool = _helpers(threads - 1)
-    others = [pool.submit(kernel, turn, *arguments) for _ in range(threads - 1)]
+    threads = torch.get_num_threads()
+    started = time.perf_counter()
+    others = []
+    if threads > 1:
+        pool = _helpers(threads - 1)
+        others = [pool.submit(kernel, turn, *arguments) for _ in range(threads - 1)]
     try:
         kernel(turn, *arguments)
     finally:
         for other in others:
             other.result()
+    if _watched is not None:
+        name = kernel.__name__
+        _watched[name] = _watched.get(name, 0.0) + time.perf_counter() - started

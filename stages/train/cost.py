@@ -10,12 +10,13 @@ from stages.shared.avatar.positional import network_grid
 from stages.shared.nets.styleunet import StyleUNet
 from stages.train.config import TrainConfig
 
-# Measured on two cores: seconds per Gaussian and camera (512² images, forward and backward), per network
-# multiply-add, and per network pass whatever its size.
-_SECONDS_PER_GAUSSIAN = 2.5e-6
-_SECONDS_PER_PICTURE = 0.06
-_SECONDS_PER_NETWORK = 0.06
-_SECONDS_PER_WEIGHT_PIXEL = 1.2e-10
+# Measured on two cores, forward and backward: per Gaussian and camera and per camera (512² images), per
+# Gaussian (deformation and surface terms), per network whatever its size, and per weight and input pixel.
+_SECONDS_PER_GAUSSIAN_SEEN = 0.6e-6
+_SECONDS_PER_PICTURE = 0.02
+_SECONDS_PER_GAUSSIAN = 1.5e-6
+_SECONDS_PER_NETWORK = 0.05
+_SECONDS_PER_WEIGHT_PIXEL = 1.2e-12
 _FLOAT = 4
 
 
@@ -28,8 +29,8 @@ def parameters(maps: dict[str, LayerMaps], config: TrainConfig) -> int:
 def seconds(maps: dict[str, LayerMaps], config: TrainConfig) -> float:
     """Time of a whole run."""
     gaussians = sum(len(layer) for layer in maps.values())
-    pictures = config.views_per_step * (gaussians * _SECONDS_PER_GAUSSIAN + _SECONDS_PER_PICTURE)
-    networks = 0.0
+    pictures = config.views_per_step * (gaussians * _SECONDS_PER_GAUSSIAN_SEEN + _SECONDS_PER_PICTURE)
+    networks = gaussians * _SECONDS_PER_GAUSSIAN
     for layer in maps.values():
         grid = network_grid(layer.window, config.model.factor, config.model.depth)
         work = _network_parameters(layer, config.model) * grid.height * grid.width

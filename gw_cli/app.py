@@ -26,6 +26,7 @@ COMMANDS: tuple[str, ...] = (
     "demo",
     "status",
     "verify",
+    "bench",
 )
 
 app = typer.Typer(

@@ -108,8 +108,8 @@ def _pull(pixels, records, record, opaque, inverse, number, grads, channels):
 
 @kernel
 def blend_backward(
-    turn, starts, gaussians, slots, records, stride, background, features, alpha, depth, blocks, g_features, g_alpha,
-    g_depth, sums, width, height, layer_ids, layers, constants, lanes, channels, slot,
+    turn, starts, gaussians, slots, records, stride, background, features, alpha, depth, blocks, g_features,
+    g_alpha, g_depth, sums, width, height, layer_ids, layers, constants, lanes, channels, slot,
 ):  # fmt: skip
     """Gradients of the tiles this thread gets: sums (E * slot length,), in the slot of each entry."""
     count = len(lanes)

@@ -97,8 +97,8 @@ def place_tiles(tallies, starts):
 def fill_tiles(turn, order, boxes, first_slots, columns, tallies, gaussians, slots):
     """Write the tile lists: the row of every entry and the slot of its gradient.
 
-    Slots lie Gaussian by Gaussian: written here and there while blending backward, which hides it, they are read
-    in order when summed.
+    Slots lie Gaussian by Gaussian: written here and there while blending backward, which hides it, they are
+    read in order when summed.
     """
     chunks = len(tallies)
     while True:

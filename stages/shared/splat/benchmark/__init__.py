@@ -1,0 +1,1 @@
+"""Measures the splatting backends: `gw bench splat`."""

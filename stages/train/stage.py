@@ -73,6 +73,7 @@ def run(
         if state.step:
             report.say(f"going on from step {state.step}")
         learn(trainer, progress, state, report)
+        trainer.finish()
         report.step("write")
         with workspace.build(TRAIN, config, inputs, force=force) as build:
             for name, model in trainer.models.items():

@@ -68,7 +68,12 @@ class Trainer:
         self.optimizer = _adam(config, models)
         self._poses: dict[int, FramePose] = {}
         for model in models.values():
-            model.fit_input([self._pose(frame).local_transforms for frame in self.frames])
+            model.fit_input(self._local_poses())
+
+    def finish(self) -> None:
+        """What can only be known when training is over."""
+        for model in self.models.values():
+            model.fit_mean(self._local_poses())
 
     def step(self, number: int, elapsed: float) -> StepReport:
         """Learn from one frame, `elapsed` s into the run. A step that is not finite changes nothing."""
@@ -164,6 +169,9 @@ class Trainer:
         for group in self.optimizer.param_groups:
             group["lr"] = 0.0 if group["kind"] in frozen else group["start_rate"] * rate_factor
         self.optimizer.step()
+
+    def _local_poses(self) -> list[Tensor]:
+        return [self._pose(frame).local_transforms for frame in self.frames]
 
     def _pose(self, frame: int) -> FramePose:
         """The frame's pose on the device; computed once."""

@@ -49,10 +49,18 @@ class AnchorOffsets(nn.Module):
 
     def weights(self, pose: Tensor) -> Tensor:
         """Share (K,) of every anchor in a pose (M,); they sum to less than 1 far from all anchors."""
+        kernel = self._kernel(pose)
+        return kernel / (kernel.sum() + _FLOOR)
+
+    def familiarity(self, pose: Tensor) -> Tensor:
+        """How much a pose (M,) is like the anchors: () 1 at an anchor or between two, 0 far from all."""
+        return self._kernel(pose).sum().clamp(max=1.0)
+
+    def _kernel(self, pose: Tensor) -> Tensor:
         squared = (self.poses - pose).square().sum(dim=1) / (2 * self.bandwidth.square())
         kernel = torch.exp(-squared) - _LEAST
         kernel = kernel.clamp(min=0.0)  # exactly none, so that Adam does not enlarge traces of other poses
-        return kernel / (kernel.sum() + _FLOOR)
+        return kernel / (1.0 - _LEAST)
 
     def forward(self, pose: Tensor) -> Tensor:
         """Offset maps (2, 3, height, width) m of a pose (M,)."""

@@ -50,6 +50,8 @@ class LayerModel(nn.Module):
     sample_points: Tensor
     input_mean: Tensor  # (1, C, h, w) m
     input_scale: Tensor  # (1,) m
+    mean_residual: Tensor  # (N, 14), with anchors
+    fading: Tensor  # (1,), with anchors
 
     def __init__(self, maps: LayerMaps, config: ModelConfig | None = None, seed: int = 0) -> None:
         super().__init__()
@@ -83,6 +85,9 @@ class LayerModel(nn.Module):
             size = tuple(math.ceil(s * config.factor / config.anchor_cell) for s in (grid.height, grid.width))
             described = self.positional.channels * len(self.positional.used) + 9 * _BODY_JOINTS
             self.anchors = AnchorOffsets(config.anchors, size, described)  # type: ignore[arg-type]
+            # What `fit_mean` finds after training; until then nothing fades.
+            self.register_buffer("mean_residual", maps.positions.new_zeros(len(maps), 14))
+            self.register_buffer("fading", torch.zeros(1))
         self.cosines = CosineMaps(maps, grid) if config.view_conditioning else None
         for name, start in _start(maps, config).items():
             if config.base:
@@ -151,6 +156,22 @@ class LayerModel(nn.Module):
             ]
             self.anchors.fit(torch.stack(described))
 
+    @torch.no_grad()
+    def fit_mean(self, poses: list[Tensor]) -> None:
+        """Let poses unlike every anchor fade to the mean residual of training poses, each (55, 4, 4).
+
+        What a network answers far from what it was trained with is a guess; the mean is a safer one. Call it
+        once, when training is over.
+        """
+        if self.anchors is None or not poses:
+            return
+        self.fading.zero_()
+        total = torch.zeros_like(self.mean_residual)
+        for pose in poses:
+            total += self.residual(pose)
+        self.mean_residual.copy_(total / len(poses))
+        self.fading.fill_(1.0)
+
     def residual(self, local_transforms: Tensor, cosines: Tensor | None = None) -> Tensor:
         """Pose-dependent part (N, 14) of the channels above, raw network output.
 
@@ -196,14 +217,14 @@ class LayerModel(nn.Module):
         return sampled_maps(images, self.sample_points, self._front)
 
     def _with_anchors(self, residual: Tensor, image: Tensor, local_transforms: Tensor) -> Tensor:
-        """Add the anchors' offsets for a pose and its input image to a residual (N, 14)."""
+        """Add the anchors' offsets for a pose to a residual (N, 14), and fade where no anchor is near."""
         if self.anchors is None:
             return residual
-        offsets = (
-            self._sampled(self.anchors(self._description(image, local_transforms)))
-            / self.model_config.offset_scale
-        )
-        return torch.cat((residual[:, :3] + offsets, residual[:, 3:]), dim=1)
+        description = self._description(image, local_transforms)
+        offsets = self._sampled(self.anchors(description)) / self.model_config.offset_scale
+        residual = torch.cat((residual[:, :3] + offsets, residual[:, 3:]), dim=1)
+        share = 1.0 - self.fading * (1.0 - self.anchors.familiarity(description))
+        return torch.lerp(self.mean_residual, residual, share)
 
     def _description(self, image: Tensor, local_transforms: Tensor) -> Tensor:
         """What tells poses apart, (M + 198,): the input image where there are texels, and joint rotations.

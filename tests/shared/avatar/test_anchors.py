@@ -45,6 +45,15 @@ def test_fewer_anchors_than_poses_spread_out() -> None:
     assert anchors.poses[:, 0].tolist() == [0.0, 4.0, 8.0]
 
 
+def test_familiarity_is_one_where_poses_were_seen() -> None:
+    anchors = AnchorOffsets(4, (2, 3), 3)
+    anchors.fit(_line(4))
+    assert all(anchors.familiarity(pose) == 1 for pose in _line(4))
+    assert anchors.familiarity(torch.tensor([1.5, 0.0, 0.0])) > 0.9
+    assert 0 < anchors.familiarity(torch.tensor([4.0, 0.0, 0.0])) < 0.3
+    assert anchors.familiarity(torch.tensor([9.0, 0.0, 0.0])) == 0
+
+
 def test_near_poses_in_long_descriptions_are_all_taken() -> None:
     generator = torch.Generator().manual_seed(0)
     centre = 10 * torch.randn(1, 5000, generator=generator)

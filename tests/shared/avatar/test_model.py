@@ -128,6 +128,19 @@ def test_anchors_move_garments_in_the_poses_they_belong_to() -> None:
     assert other.abs().max() < 0.2 * own.max(), "a little, as the next anchor"
 
 
+def test_unknown_poses_fade_to_the_mean_of_known_ones() -> None:
+    model = LayerModel(tube("upper"), replace(SMALL, anchors=2))
+    poses = [_pose(-0.2), _pose(0.2)]
+    model.fit_input(poses)
+    _learned(model)
+    known = [model.residual(pose) for pose in poses]
+    model.fit_mean(poses)
+    mean = (known[0] + known[1]) / 2
+    assert torch.allclose(model.residual(_pose(2.5)), mean, atol=1e-5)
+    for before, pose in zip(known, poses, strict=True):
+        assert torch.allclose(model.residual(pose), before, atol=1e-5)
+
+
 def test_view_angle_changes_colour_only() -> None:
     maps = tube()
     model = _learned(LayerModel(maps, SEPARATE))

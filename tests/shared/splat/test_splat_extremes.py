@@ -1,4 +1,4 @@
-"""Numbers at the edge of float32: finite pictures and gradients, alpha in [0, 1), or a refusal that names a row.
+"""Numbers at the edge of float32: all finite and alpha in [0, 1), or a refusal that names array and row.
 
 Never silent garbage: where the scene is finite, the float64 reference is the judge.
 """

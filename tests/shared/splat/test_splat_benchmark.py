@@ -1,0 +1,97 @@
+"""`gw bench splat`: what it counts is right, what it writes can be read."""
+
+from __future__ import annotations
+
+import json
+import xml.etree.ElementTree as xml
+
+import numpy as np
+import pytest
+import torch
+from typer.testing import CliRunner
+
+from gw_cli.app import app
+from stages.shared.errors import UsageProblem
+from stages.shared.splat import reference
+from stages.shared.splat.benchmark.chart import Series, chart
+from stages.shared.splat.benchmark.figure import make_camera, make_figure
+from stages.shared.splat.benchmark.limit import measure_limit
+from stages.shared.splat.benchmark.measure import Case, measure
+from stages.shared.splat.benchmark.run import BenchConfig, run
+from stages.shared.splat.kernels import layout
+from stages.shared.splat.settings import SplatSettings
+
+
+@pytest.fixture(scope="module")
+def limit():
+    return measure_limit(3, layout.host_lanes())
+
+
+def test_counted_pairs_are_those_of_the_reference(limit):
+    case = Case(800, 40, 3)
+    found = measure(case, 1, limit)
+    figure = make_figure(case.gaussians, case.channels)
+    view, intrinsics = (x.double() for x in make_camera(case.size))
+    covars = reference.covariances(figure.quats.double(), figure.scales.double())
+    gaussians = reference.project(
+        figure.means.double(), covars, figure.opacities.double(), view, intrinsics, 40, 40, SplatSettings()
+    )
+    row, column = torch.meshgrid(torch.arange(40) + 0.5, torch.arange(40) + 0.5, indexing="ij")
+    alpha = reference.alphas(gaussians, torch.stack([column, row], -1).reshape(-1, 2).double())
+    weights, _ = reference.weights(alpha)
+    assert found["pairs"] == pytest.approx(int((weights > 0).sum()), rel=2e-3)
+    assert 0 < found["forward_lane_use"] <= found["backward_lane_use"] <= 1
+    assert found["buffer_bytes"] > 0
+    assert set(found["phase_milliseconds"]) >= {"project", "blend", "blend_backward", "project_backward"}
+
+
+def test_limit_is_plausible(limit):
+    """A core does between a tenth and a thousand billion operations a second, a step takes nanoseconds."""
+    assert 1e8 < limit.flops_per_second < 2e12
+    assert 0.1 < limit.forward_nanoseconds < 1e3 and 0.1 < limit.backward_nanoseconds < 1e3
+
+
+def test_figure_is_seeded_and_person_sized():
+    a, b = make_figure(3000, 4, seed=3), make_figure(3000, 4, seed=3)
+    assert all(torch.equal(x, y) for x, y in zip(vars(a).values(), vars(b).values(), strict=True))
+    low, high = a.means[:, 1].min(), a.means[:, 1].max()
+    assert -0.05 < low < 0.1 and 1.7 < high < 1.85
+    assert a.colors.shape == (3000, 4)
+    np.testing.assert_allclose(a.quats.norm(dim=1), 1, atol=1e-5)
+
+
+def test_run_writes_json_and_charts(tmp_path):
+    before = torch.get_num_threads()
+    result = run(tmp_path, BenchConfig((200, 400), (24, 48), (3,), rounds=1, threads=2))
+    assert torch.get_num_threads() == before
+    assert [path.name for path in result.files] == ["splat.json", "splat_gaussians.svg", "splat_pixels.svg"]
+    stored = json.loads(result.files[0].read_text())
+    assert len(stored["cases"]) == 4 and stored["threads"] == 2
+    for path in result.files[1:]:
+        root = xml.fromstring(path.read_text())
+        assert len(root.findall("{http://www.w3.org/2000/svg}polyline")) == 4
+
+
+def test_chart_places_points_on_logarithmic_axes():
+    text = chart("t", "x", "y", [Series("a < b", [(1, 1), (10, 10), (100, 100)])])
+    line = xml.fromstring(text).find("{http://www.w3.org/2000/svg}polyline")
+    assert line is not None
+    points = [tuple(map(float, pair.split(","))) for pair in line.attrib["points"].split()]
+    assert points[1][0] - points[0][0] == pytest.approx(points[2][0] - points[1][0], abs=0.2)
+    assert points[0][1] - points[1][1] == pytest.approx(points[1][1] - points[2][1], abs=0.2)
+
+
+def test_command_in_json():
+    found = CliRunner().invoke(
+        app, ["bench", "splat", "--gaussians", "0.2k", "--sizes", "24", "--rounds", "1", "--json"]
+    )
+    assert found.exit_code == 0
+    last = json.loads(found.stdout.strip().splitlines()[-1])["result"]
+    assert last["cases"][0]["gaussians"] == 200
+    assert last["cases"][0]["forward_milliseconds"] > 0
+
+
+def test_what_cannot_be_measured_is_refused():
+    assert CliRunner().invoke(app, ["bench", "splat", "--gaussians", "many"]).exit_code == 2
+    with pytest.raises(UsageProblem):
+        run(None, BenchConfig((0,)))

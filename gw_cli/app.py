@@ -7,7 +7,6 @@ Command modules are light: what is heavy (torch, open3d, …) is imported when a
 from __future__ import annotations
 
 import importlib
-import importlib.util
 import os
 
 import typer
@@ -43,8 +42,7 @@ app = typer.Typer(
 )
 
 for _name in COMMANDS:
-    if importlib.util.find_spec(f"gw_cli.{_name}"):
-        importlib.import_module(f"gw_cli.{_name}").register(app)
+    importlib.import_module(f"gw_cli.{_name}").register(app)
 
 
 def main() -> None:

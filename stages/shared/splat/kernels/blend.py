@@ -28,6 +28,8 @@ from stages.shared.splat.kernels.lanes import (
     prefetch,
     put,
     set_at,
+    spread,
+    store,
     take,
 )
 from stages.shared.splat.kernels.layout import (
@@ -60,9 +62,9 @@ _SLACK = np.float32(0.01)
 
 
 @inlined
-def _start_tile(state, live, sets, planes, count, top, left, width, height):
+def _start_tile(state, live, sets, planes, lanes, top, left, width, height):
     """Empty pixels; those outside the image are stopped from the beginning."""
-    set_size = planes * TILE_PIXELS
+    count = len(lanes)
     inside = 0
     for block in range(TILE_PIXELS // count):
         x, y = block_corner(block, count, top, left)
@@ -70,31 +72,36 @@ def _start_tile(state, live, sets, planes, count, top, left, width, height):
             inside |= 1 << block
     for picture in range(sets):
         live[picture] = inside
-        for place in range(picture * set_size, (picture + 1) * set_size):
-            state[place] = ZERO
-        for row in range(TILE):
-            for column in range(TILE):
-                place = picture * set_size + pixel_place(row, column, count, planes)
-                state[place] = ONE if top + row < height and left + column < width else -ONE
+    for place in range(0, sets * planes * TILE_PIXELS, count):
+        store(state, place, spread(ZERO, lanes))
+    for place in range(0, sets * planes * TILE_PIXELS, planes * count):
+        store(state, place, spread(ONE, lanes))
+    if top + TILE > height or left + TILE > width:
+        for picture in range(sets):
+            for row in range(TILE):
+                for column in range(TILE):
+                    if top + row >= height or left + column >= width:
+                        place = pixel_place(row, column, count, planes)
+                        state[picture * planes * TILE_PIXELS + place] = -ONE
 
 
 @inlined
-def _finish_tile(state, sets, planes, count, top, left, width, height, background, features, alpha, depth):
+def _finish_tile(
+    state, sets, planes, channels, count, top, left, width, height, background, features, alpha, depth
+):  # fmt: skip
     """Write a tile's pixels, background behind them."""
-    channels = len(background)
     for picture in range(sets):
         base = picture * planes * TILE_PIXELS
         for row in range(top, min(top + TILE, height)):
             for column in range(left, min(left + TILE, width)):
                 place = base + pixel_place(row - top, column - left, count, planes)
                 pixel = (picture * height + row) * width + column
-                remaining = abs(state[place])
-                alpha[pixel] = ONE - remaining
-                depth[pixel] = state[place + count]
-                for c in range(channels):
-                    features[pixel * channels + c] = (
-                        state[place + (2 + c) * count] + remaining * background[c]
-                    )
+                remaining = abs(at(state, place))
+                set_at(alpha, pixel, ONE - remaining)
+                set_at(depth, pixel, at(state, place + count))
+                for c in range(length(channels)):
+                    value = at(state, place + (2 + c) * count) + remaining * at(background, c)
+                    set_at(features, pixel * length(channels) + c, value)
 
 
 @inlined
@@ -209,7 +216,7 @@ def blend(
         if first == last:
             _empty_tile(sets, top, left, width, height, background_row, features, alpha, depth)
             continue
-        _start_tile(state, live, sets, depth_and_colors, count, top, left, width, height)
+        _start_tile(state, live, sets, depth_and_colors, lanes, top, left, width, height)
         for begin in range(first, last, _STRETCH):
             end = min(begin + _STRETCH, last)
             anything = live[0]
@@ -272,8 +279,9 @@ def blend(
                 for plane in range(length(planes)):
                     put(kept, plane, get(pixels, plane))
         _finish_tile(
-            state, sets, depth_and_colors, count, top, left, width, height, background, features, alpha, depth
-        )
+            state, sets, depth_and_colors, channels, count, top, left, width, height, background, features,
+            alpha, depth,
+        )  # fmt: skip
 
 
 @kernel

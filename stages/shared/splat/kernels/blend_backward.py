@@ -31,6 +31,7 @@ from stages.shared.splat.kernels.lanes import (
     prefetch,
     prefetch_to_write,
     put,
+    set_at,
     spread,
     store,
     take,
@@ -60,34 +61,35 @@ _PLANES = 4
 
 @inlined
 def _start_tile(
-    state, sets, planes, count, top, left, width, height, background, features, alpha, depth, g_features,
-    g_alpha, g_depth,
+    state, sets, planes, channels, count, top, left, width, height, background, features, alpha, depth,
+    g_features, g_alpha, g_depth,
 ):  # fmt: skip
-    channels = len(background)
+    size = length(channels)
     for picture in range(sets):
         base = picture * planes * TILE_PIXELS
-        for row in range(top, top + TILE):
-            for column in range(left, left + TILE):
+        if top + TILE > height or left + TILE > width:
+            for place in range(base, base + planes * TILE_PIXELS):
+                state[place] = ZERO
+            for row in range(TILE):
+                for column in range(TILE):
+                    state[base + pixel_place(row, column, count, planes)] = -ONE
+        for row in range(top, min(top + TILE, height)):
+            for column in range(left, min(left + TILE, width)):
                 place = base + pixel_place(row - top, column - left, count, planes)
-                if row >= height or column >= width:
-                    state[place] = -ONE
-                    for plane in range(1, planes):
-                        state[place + plane * count] = ZERO
-                    continue
                 pixel = (picture * height + row) * width + column
                 behind, whole = ZERO, ZERO
-                for c in range(channels):
-                    g = g_features[pixel * channels + c]
-                    behind += g * background[c]
-                    whole += g * features[pixel * channels + c]
-                    state[place + (_PLANES + c) * count] = g
-                of_depth = g_depth[pixel]
+                for c in range(size):
+                    g = at(g_features, pixel * size + c)
+                    behind += g * at(background, c)
+                    whole += g * at(features, pixel * size + c)
+                    set_at(state, place + (_PLANES + c) * count, g)
+                of_alpha, of_depth = at(g_alpha, pixel), at(g_depth, pixel)
                 # `features` has the background in it, seen through 1 - alpha: take that out.
-                rest = whole - behind + alpha[pixel] * g_alpha[pixel] + depth[pixel] * of_depth
-                state[place] = ONE
-                state[place + _REST * count] = rest
-                state[place + _G_ALPHA * count] = g_alpha[pixel] - behind
-                state[place + _G_DEPTH * count] = of_depth
+                rest = whole - behind + at(alpha, pixel) * of_alpha + at(depth, pixel) * of_depth
+                set_at(state, place, ONE)
+                set_at(state, place + _REST * count, rest)
+                set_at(state, place + _G_ALPHA * count, of_alpha - behind)
+                set_at(state, place + _G_DEPTH * count, of_depth)
 
 
 @inlined
@@ -133,7 +135,7 @@ def blend_backward(
             continue
         top, left = (tile // columns) * TILE, (tile % columns) * TILE
         _start_tile(
-            state, sets, planes, count, top, left, width, height, background, features, alpha, depth,
+            state, sets, planes, channels, count, top, left, width, height, background, features, alpha, depth,
             g_features, g_alpha, g_depth,
         )  # fmt: skip
         for block in range(TILE_PIXELS // count):

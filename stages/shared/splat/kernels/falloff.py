@@ -60,11 +60,10 @@ def falloff(pixel_x, pixel_y, records, record, number, lanes):
     keep = exponent >= number[7]
     shifted = exponent + number[0]
     fraction = exponent - (shifted - number[0])
-    power = fma(number[6], fraction, number[5])
-    power = fma(power, fraction, number[4])
-    power = fma(power, fraction, number[3])
-    power = fma(power, fraction, number[2])
-    power = scale_by_low_bits(fma(power, fraction, number[1]), shifted)
+    square = fraction * fraction
+    low, middle = fma(number[2], fraction, number[1]), fma(number[4], fraction, number[3])
+    high = fma(number[6], fraction, number[5])
+    power = scale_by_low_bits(fma(fma(high, square, middle), square, low), shifted)
     return x, y, u, v, power, where(keep, minimum(power, number[8]), 0.0), keep
 
 

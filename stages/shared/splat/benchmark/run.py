@@ -140,7 +140,7 @@ def _write(output: Path, summary: dict[str, Any]) -> list[Path]:
         lines = _series(summary["cases"], axis, held, unit)
         if lines:
             files.append(output / f"splat_{axis}.svg")
-            title = f"Splatting, {summary['threads']} threads"
+            title = f"Splatting on the CPU (threads: {summary['threads']})"
             write_whole(files[-1], chart(title, axis, "milliseconds", lines).encode())
     return files
 

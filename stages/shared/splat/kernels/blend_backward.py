@@ -135,8 +135,8 @@ def blend_backward(
             continue
         top, left = (tile // columns) * TILE, (tile % columns) * TILE
         _start_tile(
-            state, sets, planes, channels, count, top, left, width, height, background, features, alpha, depth,
-            g_features, g_alpha, g_depth,
+            state, sets, planes, channels, count, top, left, width, height, background, features, alpha,
+            depth, g_features, g_alpha, g_depth,
         )  # fmt: skip
         for block in range(TILE_PIXELS // count):
             corner_x, corner_y = block_corner(block, count, top, left)

@@ -10,7 +10,9 @@ Argument names are those of gsplat. Backends: `reference` (plain torch, any floa
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
+import torch
 from torch import Tensor
 
 from stages.shared.errors import UsageProblem
@@ -108,6 +110,32 @@ def rasterize_layers(
     )  # fmt: skip
     composite, *alone = _pictures(_backend(backend, scene)(scene), viewmats.ndim == 3)
     return LayeredRendering(composite, tuple(alone))
+
+
+def contributions(
+    means: Tensor,
+    quats: Tensor | None,
+    scales: Tensor | None,
+    opacities: Tensor,
+    viewmats: Tensor,
+    Ks: Tensor,
+    width: int,
+    height: int,
+    **options: Any,
+) -> Tensor:
+    """(N,) sum over pixels (and cameras) of each Gaussian's weight: 0 where it is hidden or out of sight.
+
+    For culling and debugging. Takes the options of `rasterize` that concern geometry. No gradient.
+    """
+    with torch.enable_grad():
+        # A Gaussian's weights are what its colour is multiplied with: the gradient of the summed picture.
+        ones = torch.ones_like(opacities)[:, None].detach().requires_grad_()
+        turned = None if quats is None else quats.detach()
+        sizes = None if scales is None else scales.detach()
+        camera = (viewmats.detach(), Ks.detach(), width, height)
+        picture = rasterize(means.detach(), turned, sizes, opacities.detach(), ones, *camera, **options)
+        (found,) = torch.autograd.grad(picture.features.sum(), ones)
+    return found[:, 0]
 
 
 def _pictures(stack: Rendering, batched: bool) -> list[Rendering]:

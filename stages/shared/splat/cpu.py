@@ -18,11 +18,12 @@ from torch import Tensor
 from stages.shared.errors import BadData
 from stages.shared.report import SILENT, Report
 from stages.shared.splat.kernels import layout
-from stages.shared.splat.kernels import project as projection
 from stages.shared.splat.kernels.blend import blend, median_depths
 from stages.shared.splat.kernels.blend_backward import blend_backward
 from stages.shared.splat.kernels.compiling import told_to
 from stages.shared.splat.kernels.order import count_tiles, depth_order, fill_tiles, place_tiles
+from stages.shared.splat.kernels.project import project
+from stages.shared.splat.kernels.project_backward import CAMERA_GRADIENTS, LARGEST, project_backward
 from stages.shared.splat.kernels.threads import run_alone, run_together
 from stages.shared.splat.rendering import Rendering
 from stages.shared.splat.scene import Scene, check_gaussians
@@ -108,7 +109,7 @@ class Gaussians:
 class View:
     """What one camera saw: kept for the backward pass."""
 
-    camera: np.ndarray  # (24,) see kernels/project.py
+    camera: np.ndarray  # (24,) see kernels/geometry.py
     background: np.ndarray  # (C,)
     records: np.ndarray  # (N * record,)
     counts: np.ndarray  # (N,) tiles per Gaussian
@@ -145,7 +146,7 @@ def arrange(gaussians: Gaussians, camera: np.ndarray, background: np.ndarray, si
     records, boxes = _whole_lines(n * sizes.record), np.empty(4 * n, np.uint16)
     depths, counts = np.empty(n, np.float32), np.empty(n, np.int32)
     run_together(
-        projection.project, *gaussians.placed, gaussians.colors, sizes.channels, camera,
+        project, *gaussians.placed, gaussians.colors, sizes.channels, camera,
         float(sizes.width), float(sizes.height), records, sizes.record, boxes, depths, counts,
     )  # fmt: skip
     first_slots = np.empty(n + 1, np.int32)
@@ -213,13 +214,13 @@ def view_backward(
         *sizes.kernel_sizes(view.layer_ids), slot,
     )  # fmt: skip
     turns = -(-len(gaussians.opacities) // (layout.GROUP * layout.GROUPS_PER_TURN))
-    shares = np.empty(turns * projection.CAMERA_GRADIENTS, np.float64)
+    shares = np.empty(turns * CAMERA_GRADIENTS, np.float64)
     seen = (view.camera, view.counts, view.first_slots)
     run_together(
-        projection.project_backward, *gaussians.placed, *seen, sums, lanes, slot, sizes.channels, add,
+        project_backward, *gaussians.placed, *seen, sums, lanes, slot, sizes.channels, add,
         *outgoing, shares,
     )  # fmt: skip
-    return shares.reshape(turns, projection.CAMERA_GRADIENTS).sum(0)
+    return shares.reshape(turns, CAMERA_GRADIENTS).sum(0)
 
 
 class _OnceOnly(torch.autograd.Function):
@@ -292,7 +293,7 @@ class _Rasterize(torch.autograd.Function):
             pictures = [x[i].numpy() for x in (features, alpha, depth)]
             g_pictures = [x[i].numpy() for x in incoming]
             numbers = view_backward(gaussians, view, pictures, g_pictures, arrays, i > 0, sizes)
-            g_camera = torch.from_numpy(numbers.clip(-projection.LARGEST, projection.LARGEST)).float()
+            g_camera = torch.from_numpy(numbers.clip(-LARGEST, LARGEST)).float()
             g_viewmats[i, :3, :3], g_viewmats[i, :3, 3] = g_camera[:9].reshape(3, 3), g_camera[9:12]
             g_Ks[i, [0, 1, 0, 1], [0, 1, 2, 2]] = g_camera[12:]
         g_background = None

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from stages.shared.splat import reference
+from stages.shared.splat.api import contributions, rasterize
 from stages.shared.splat.kernels import layout
 from tests.shared.splat.scenes import FIELDS, avatar_case, compare, random_case
 
@@ -96,6 +97,22 @@ def test_layers_equal_separate_renderings():
     for a, b in zip(together, apart, strict=True):
         for field in FIELDS:
             assert torch.equal(getattr(a, field), getattr(b, field))
+
+
+def test_contributions_are_the_sums_of_weights():
+    """Of two in line the far one shows what the near one lets through; one behind the camera nothing."""
+    means = torch.tensor([[0.0, 0, 2], [0, 0, 4], [0, 0, -2]])
+    quats = torch.tensor([[1.0, 0, 0, 0]]).expand(3, 4)
+    scales = torch.tensor([[0.5], [1.0], [1.0]]).expand(3, 3)
+    k = torch.tensor([[40.0, 0, 16], [0, 40, 16], [0, 0, 1]])
+    camera = (torch.eye(4), k, 32, 32)
+    opacities = torch.tensor([0.6, 0.5, 0.9])
+    found = contributions(means, quats, scales, opacities, *camera)
+    near = contributions(means[:1], quats[:1], scales[:1], opacities[:1], *camera)
+    assert found[0] == pytest.approx(near[0].item(), rel=1e-6) and found[2] == 0
+    picture = rasterize(means, quats, scales, opacities, torch.ones(3, 1), *camera)
+    assert found.sum().item() == pytest.approx(picture.alpha.sum().item(), rel=1e-5)
+    assert not found.requires_grad
 
 
 def test_gradients_match_finite_differences_in_a_smooth_scene():

@@ -12,26 +12,7 @@ import numpy as np
 
 from stages.shared.splat.kernels.compiling import inlined, kernel
 from stages.shared.splat.kernels.falloff import block_corner, falloff, numbers, pass_through, pixel_place
-from stages.shared.splat.kernels.lanes import (
-    at,
-    bank,
-    bank_at,
-    bit_column,
-    bits,
-    fma,
-    get,
-    length,
-    load,
-    lowest_bit,
-    magnitude,
-    maximum,
-    prefetch,
-    put,
-    set_at,
-    spread,
-    store,
-    take,
-)
+from stages.shared.splat.kernels.lanes import bits, fma, magnitude, maximum
 from stages.shared.splat.kernels.layout import (
     BLOCK_WIDTH,
     DEPTH,
@@ -46,6 +27,22 @@ from stages.shared.splat.kernels.layout import (
     VY,
     WHOLE_X,
     WHOLE_Y,
+)
+from stages.shared.splat.kernels.memory import (
+    at,
+    bank,
+    bank_at,
+    bit_column,
+    get,
+    length,
+    load,
+    lowest_bit,
+    prefetch,
+    put,
+    set_at,
+    spread,
+    store,
+    take,
 )
 from stages.shared.splat.settings import ALPHA_MAX
 

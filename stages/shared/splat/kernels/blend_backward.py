@@ -17,26 +17,7 @@ import numpy as np
 from stages.shared.splat.kernels.blend import AHEAD, ONE, ZERO
 from stages.shared.splat.kernels.compiling import inlined, kernel
 from stages.shared.splat.kernels.falloff import block_corner, falloff, numbers, pass_through, pixel_place
-from stages.shared.splat.kernels.lanes import (
-    at,
-    bank,
-    bank_at,
-    fma,
-    get,
-    lane_sums,
-    length,
-    load,
-    lowest_bit,
-    negative,
-    prefetch,
-    prefetch_to_write,
-    put,
-    set_at,
-    spread,
-    store,
-    take,
-    where,
-)
+from stages.shared.splat.kernels.lanes import fma, negative, where
 from stages.shared.splat.kernels.layout import (
     DEPTH,
     NUMBERS,
@@ -49,6 +30,23 @@ from stages.shared.splat.kernels.layout import (
     SUM_HVY,
     TILE,
     TILE_PIXELS,
+)
+from stages.shared.splat.kernels.memory import (
+    at,
+    bank,
+    bank_at,
+    get,
+    lane_sums,
+    length,
+    load,
+    lowest_bit,
+    prefetch,
+    prefetch_to_write,
+    put,
+    set_at,
+    spread,
+    store,
+    take,
 )
 
 # mypy: ignore-errors

@@ -6,17 +6,7 @@ They must take the same decisions at the cut-offs bit for bit, so there is one c
 from __future__ import annotations
 
 from stages.shared.splat.kernels.compiling import inlined
-from stages.shared.splat.kernels.lanes import (
-    at,
-    fma,
-    load,
-    magnitude,
-    minimum,
-    negative,
-    scale_by_low_bits,
-    spread,
-    where,
-)
+from stages.shared.splat.kernels.lanes import fma, magnitude, minimum, negative, scale_by_low_bits, where
 from stages.shared.splat.kernels.layout import (
     BLOCK_WIDTH,
     BLOCKS_ACROSS,
@@ -29,6 +19,7 @@ from stages.shared.splat.kernels.layout import (
     WHOLE_X,
     WHOLE_Y,
 )
+from stages.shared.splat.kernels.memory import at, load, spread
 
 # mypy: ignore-errors
 # (compiled and type-checked by numba)

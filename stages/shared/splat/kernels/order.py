@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from stages.shared.splat.kernels.compiling import kernel
-from stages.shared.splat.kernels.lanes import at, prefetch, take
 from stages.shared.splat.kernels.layout import TILE_SHIFT
+from stages.shared.splat.kernels.memory import at, prefetch, take
 
 # mypy: ignore-errors
 # (compiled and type-checked by numba)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from stages.shared.splat.kernels.compiling import kernel
-from stages.shared.splat.kernels.lanes import fma, load, store, take
+from stages.shared.splat.kernels.lanes import fma
+from stages.shared.splat.kernels.memory import load, store, take
 
 # mypy: ignore-errors
 # (compiled and type-checked by numba)

@@ -7,7 +7,6 @@ import numpy as np
 from stages.shared.splat.kernels.blend import ONE, reached_blocks
 from stages.shared.splat.kernels.compiling import kernel
 from stages.shared.splat.kernels.falloff import block_corner
-from stages.shared.splat.kernels.lanes import at, lowest_bit, take
 from stages.shared.splat.kernels.layout import (
     BLOCK_WIDTH,
     LOG_OPACITY,
@@ -21,6 +20,7 @@ from stages.shared.splat.kernels.layout import (
     WHOLE_X,
     WHOLE_Y,
 )
+from stages.shared.splat.kernels.memory import at, lowest_bit, take
 from stages.shared.splat.settings import ALPHA_MAX, TRANSMITTANCE_MIN
 
 # mypy: ignore-errors

@@ -39,6 +39,12 @@ def register(app: typer.Typer) -> None:
         output: Annotated[
             Path | None, typer.Option("-o", "--output", help="Folder; default: SUBJECT/evaluation.")
         ] = None,
+        perceptual_weights: Annotated[
+            Path | None,
+            typer.Option(
+                metavar="FILE", help="VGG-16 and LPIPS weights, safetensors; without, lpips is null."
+            ),
+        ] = None,
         preset: Preset = "draft",
         dry_run: DryRun = False,
         as_json: Json = False,
@@ -64,7 +70,7 @@ def register(app: typer.Typer) -> None:
                 "Give a subject, or --frames DIR together with --truth CAPTURE.",
             )
         if frames is not None and truth is not None:
-            _frames_against_truth(console, frames, truth, output, config, dry_run)
+            _frames_against_truth(console, frames, truth, output, config, dry_run, perceptual_weights)
             return
         assert subject is not None
         from stages.evaluate import stage
@@ -72,7 +78,7 @@ def register(app: typer.Typer) -> None:
         if dry_run:
             console.plan(stage.plan(subject, output, config))
             return
-        result = stage.run(subject, output, config, console)
+        result = stage.run(subject, output, config, console, perceptual_weights)
         console.result(
             {"path": result.path, **result.summary},
             next_command=f"gw export-garment {subject} --layer lower -o lower.gwg",
@@ -80,7 +86,13 @@ def register(app: typer.Typer) -> None:
 
 
 def _frames_against_truth(
-    console: Console, frames: Path, truth: Path, output: Path | None, config: Any, dry_run: bool
+    console: Console,
+    frames: Path,
+    truth: Path,
+    output: Path | None,
+    config: Any,
+    dry_run: bool,
+    weights: Path | None,
 ) -> None:
     from stages.evaluate import truth as truth_stage
     from stages.shared.plan import Plan
@@ -89,7 +101,7 @@ def _frames_against_truth(
     if dry_run:
         console.plan(Plan(inputs=[str(frames), str(truth)], outputs=[str(folder / truth_stage.RESULT_NAME)]))
         return
-    result = truth_stage.run(frames, truth, folder, config, console)
+    result = truth_stage.run(frames, truth, folder, config, console, weights)
     console.result({"path": result.path, **result.summary})
 
 

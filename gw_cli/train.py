@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -31,6 +32,12 @@ def register(app: typer.Typer) -> None:
         ] = None,
         image_scale: Annotated[
             float | None, typer.Option(min=0.05, max=1.0, help="Learn from smaller pictures; 1 is full size.")
+        ] = None,
+        perceptual_weights: Annotated[
+            Path | None,
+            typer.Option(
+                metavar="FILE", help="VGG-16 and LPIPS weights, safetensors; without, no LPIPS terms."
+            ),
         ] = None,
         seed: Seed = 0,
         device: Device = "auto",
@@ -61,9 +68,9 @@ def register(app: typer.Typer) -> None:
             **{name: value for name, value in chosen.items() if value is not None},
         )
         if dry_run:
-            console.plan(stage.plan(subject, config))
+            console.plan(stage.plan(subject, config, perceptual_weights))
             return
-        result = stage.run(subject, config, console, force=force)
+        result = stage.run(subject, config, console, force=force, perceptual_weights=perceptual_weights)
         console.result(
             {"artifact": result.artifact.path, **result.summary},
             next_command=f"gw export-garment {subject} --layer body -o body.gwg",

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.shared.capture.labels import label_picture
+from stages.shared.losses.perceptual import Perceptual
 from stages.shared.metrics.scores import Scores, ViewPair, mean_scores, view_scores
 from stages.shared.pictures.sheet import contact_sheet, shrunk
 
@@ -17,13 +18,14 @@ _LARGEST_SIDE = 384
 
 @dataclass
 class Gathered:
-    """Rows of one split: who, where, which method, and the scores."""
+    """Rows of one split: who, where, which method, and the scores; LPIPS only with `perceptual`."""
 
+    perceptual: Perceptual | None = None
     rows: list[dict[str, Any]] = field(default_factory=list)
 
     def add(self, method: str, take: str, camera: str, frame: int, first: bool, view: ViewPair) -> Scores:
         """Score a view and keep the row."""
-        scores = view_scores(view)
+        scores = view_scores(view, self.perceptual)
         finite = {k: None if v is None or not np.isfinite(v) else round(v, 6) for k, v in scores.items()}
         self.rows.append(
             {"method": method, "take": take, "camera": camera, "frame": frame, "first": first, **finite}

@@ -32,6 +32,7 @@ from stages.shared.body import BodyModel
 from stages.shared.capture.camera import Camera
 from stages.shared.capture.subject import open_subject_capture
 from stages.shared.errors import UsageProblem
+from stages.shared.losses.perceptual import Perceptual
 from stages.shared.metrics.scores import ViewPair
 from stages.shared.outfit.outfit import Outfit, outfit_of_training
 from stages.shared.outfit.picture import take_picture
@@ -94,8 +95,9 @@ def run(
     output: Path | None = None,
     config: EvaluateConfig = EvaluateConfig(),
     report: Report = SILENT,
+    perceptual_weights: Path | None = None,
 ) -> EvaluateResult:
-    """Score a subject; the folder is `SUBJECT/evaluation` unless told otherwise.
+    """Score a subject; the folder is `SUBJECT/evaluation` unless told otherwise. LPIPS needs its weights.
 
     Raises:
         MissingInput: a stage has not run, or a split has no views. UsageProblem: unknown split or method.
@@ -110,12 +112,13 @@ def run(
     for split, views in splits.items():
         require_views(views, split, capture)
     methods = _methods(workspace, body, config)
+    perceptual = Perceptual.load(perceptual_weights) if perceptual_weights else None
     summary: dict[str, Any] = {}
     rows: dict[str, Any] = {}
     with output_folder(output, RESULT_NAME, MARK) as folder:
         for split, views in splits.items():
             name = split.replace("-", "_")
-            gathered = _score(folder, name, views, methods, config, report)
+            gathered = _score(folder, name, views, methods, config, report, perceptual)
             summary[name], rows[name] = gathered.means(), gathered.rows
         summary["seconds"] = round(time.monotonic() - started, 1)
         write_file(folder / "views.json", readable_json(rows))
@@ -174,10 +177,11 @@ def _score(
     methods: dict[str, Method],
     config: EvaluateConfig,
     report: Report,
+    perceptual: Perceptual | None,
 ) -> Gathered:
     """Render and score every view of a split, and write its pictures."""
     report.step(name.replace("_", " "))
-    gathered = Gathered()
+    gathered = Gathered(perceptual)
     shown = chosen(len(views), config.pictures)
     done, total = 0, sum(len(frame.cameras) for frame in views)
     for index, frame in enumerate(views):

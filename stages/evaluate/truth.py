@@ -26,6 +26,7 @@ from stages.shared.capture import Take, open_capture
 from stages.shared.capture.images import decode, read_bytes
 from stages.shared.capture.labels import read_labels
 from stages.shared.errors import BadData, MissingInput
+from stages.shared.losses.perceptual import Perceptual
 from stages.shared.metrics.scores import ViewPair
 from stages.shared.outfit.sources import capture_take
 from stages.shared.pictures.folder import output_folder
@@ -51,6 +52,7 @@ def run(
     output: Path,
     config: EvaluateConfig = EvaluateConfig(),
     report: Report = SILENT,
+    perceptual_weights: Path | None = None,
 ) -> TruthResult:
     """Score every picture of `frames` that the capture `truth` also has.
 
@@ -69,7 +71,7 @@ def run(
             f"{frames}, {truth}",
             f"Render with the capture's cameras: gw render … --cameras {truth}.",
         )
-    gathered = Gathered()
+    gathered = Gathered(Perceptual.load(perceptual_weights) if perceptual_weights else None)
     report.step("scoring")
     with output_folder(output, RESULT_NAME, MARK) as folder:
         pictures = chosen(len(pairs), config.pictures)

@@ -13,14 +13,17 @@ class LossWeights:
 
     `l1`, `ssim`, `label`, `silhouette` compare pictures; `flow` (m) pulls Gaussians along the optical flow
     from render to image, in the first part of a run (`flow_until`); `penetration` (hinge, m²), `offset` (m²),
-    `smooth` (mm²), `seam` (mm²), `opacity` and `covered_skin` act on the Gaussians. The defaults are the
-    published ones.
+    `smooth` (mm²), `seam` (mm²), `opacity` and `covered_skin` act on the Gaussians. `lpips` (crop of the
+    subject) and `face` (LPIPS of the face) are in force only with a file of perceptual weights. The defaults
+    are the published ones.
     """
 
     l1: float = 1.0
     ssim: float = 0.05
     label: float = 0.5
     silhouette: float = 0.05
+    lpips: float = 0.1
+    face: float = 0.1
     penetration: float = 0.5
     offset: float = 0.005
     smooth: float = 0.005
@@ -55,10 +58,12 @@ class TrainConfig:
         image_scale: size of the pictures learned from, 1 is the capture's. coarse_scale, coarse_until:
             smaller pictures up to this share of the run.
         flow_until: share of the run in which the flow term is on.
-        stage_two: share of the run after which penetration and smoothing are on.
+        stage_two: share of the run after which penetration, smoothing and the face's LPIPS are on.
         rate_end: learning rates end (cosine) at this share of their start.
         clip: ceiling of the global gradient norm; 0 for none.
         label_kind: "l1" or "l2". penetration_margin: ε, m.
+        perceptual_side: px, side of the square crops that LPIPS sees. perceptual_digest: SHA-256 of the file
+            of perceptual weights, empty for none; the stage fills it in.
         weights, rates, model: see there.
         device: auto, cpu or cuda; not part of what the result is named by.
     """
@@ -77,6 +82,8 @@ class TrainConfig:
     clip: float = 1.0
     label_kind: str = "l1"
     penetration_margin: float = 0.005
+    perceptual_side: int = 512
+    perceptual_digest: str = ""
     weights: LossWeights = field(default_factory=LossWeights)
     rates: LearningRates = field(default_factory=LearningRates)
     model: ModelConfig = field(default_factory=ModelConfig)
@@ -93,13 +100,14 @@ _ECONOMY = LossWeights(
     flow=10.0,
     covered_skin=0.02,
 )
-DRAFT = TrainConfig(weights=_ECONOMY, model=ModelConfig(anchors=40))
+DRAFT = TrainConfig(perceptual_side=128, weights=_ECONOMY, model=ModelConfig(anchors=40))
 PRESETS: dict[str, TrainConfig] = {
     "tiny": replace(
         DRAFT,
         steps=20,
         views_per_step=2,
         image_scale=0.5,
+        perceptual_side=64,
         model=ModelConfig(width=0.0625, depth=2, style=16, factor=4, anchors=8),
     ),
     "draft": DRAFT,
@@ -107,6 +115,7 @@ PRESETS: dict[str, TrainConfig] = {
         DRAFT,
         steps=8000,
         frame_step=2,
+        perceptual_side=256,
         model=ModelConfig(width=0.25, depth=5, style=64, factor=2, anchors=100),
     ),
     "paper": TrainConfig(

@@ -17,6 +17,9 @@ _SECONDS_PER_PICTURE = 0.02
 _SECONDS_PER_GAUSSIAN = 1.5e-6
 _SECONDS_PER_NETWORK = 0.05
 _SECONDS_PER_WEIGHT_PIXEL = 1.2e-12
+# Reckoned, not measured: VGG-16 there, back, and once for the truth at 100 GFLOP/s; its activations.
+_SECONDS_PER_PERCEIVED_PIXEL = 1.8e-5
+_BYTES_PER_PERCEIVED_PIXEL = 2200
 _FLOAT = 4
 
 
@@ -35,7 +38,8 @@ def seconds(maps: dict[str, LayerMaps], config: TrainConfig) -> float:
         grid = network_grid(layer.window, config.model.factor, config.model.depth)
         work = _network_parameters(layer, config.model) * grid.height * grid.width
         networks += _SECONDS_PER_NETWORK + work * _SECONDS_PER_WEIGHT_PIXEL
-    total = config.steps * (pictures + networks)
+    perceived = 2 * config.views_per_step * _perceived_pixels(config) * _SECONDS_PER_PERCEIVED_PIXEL
+    total = config.steps * (pictures + networks + perceived)
     return min(total, 60.0 * config.minutes) if config.minutes > 0 else total
 
 
@@ -47,12 +51,18 @@ def memory_bytes(maps: dict[str, LayerMaps], config: TrainConfig) -> int:
         nets = 1 if config.model.heads == "joint" else 3
         activations += nets * grid.height * grid.width * 64 * config.model.width * 40 * _FLOAT
     texels = sum(len(layer) for layer in maps.values())
+    activations += 2 * _perceived_pixels(config) * _BYTES_PER_PERCEIVED_PIXEL
     return int(7e8 + 4 * _FLOAT * parameters(maps, config) + activations + texels * 3000 + 4e8)
 
 
 def disk_bytes(maps: dict[str, LayerMaps], config: TrainConfig) -> int:
     """Weights, the checkpoint with moments (while it runs), metrics and previews."""
     return 4 * _FLOAT * parameters(maps, config) + (16 << 20)
+
+
+def _perceived_pixels(config: TrainConfig) -> int:
+    """Of one crop that LPIPS sees; 0 without perceptual weights."""
+    return config.perceptual_side**2 if config.perceptual_digest else 0
 
 
 def _network_parameters(layer: LayerMaps, model: ModelConfig) -> int:

@@ -11,13 +11,16 @@ from stages.shared.avatar.compose import Composite
 from stages.shared.avatar.deform import PosedGaussians
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.capture import Camera
+from stages.shared.capture.camera import Box
 from stages.shared.losses.covered_skin import covered_skin_loss, hand_texels
+from stages.shared.losses.crops import mask_box, square_crop
 from stages.shared.losses.flow import dense_flow, flow_loss
 from stages.shared.losses.l1 import l1
 from stages.shared.losses.label import label_loss
 from stages.shared.losses.offset import offset_loss
 from stages.shared.losses.opacity import opacity_loss
 from stages.shared.losses.penetration import penetration_loss
+from stages.shared.losses.perceptual import Perceptual
 from stages.shared.losses.seam import seam_loss
 from stages.shared.losses.silhouette import silhouette_loss
 from stages.shared.losses.smooth import smooth_loss
@@ -66,12 +69,47 @@ def render(composite: Composite, camera: Camera) -> Picture:
     return Picture(features[..., :3], features[..., 3:], picture.alpha, picture.expected_depth.detach())
 
 
+@dataclass(frozen=True)
+class Lens:
+    """How the perceptual terms look at a view: the metric, the side of its crops in px, the box of the face
+    in the view or None.
+    """
+
+    perceptual: Perceptual
+    side: int
+    face: Box | None
+
+    def terms(
+        self, image: Tensor, truth: Tensor, view: View, background: Tensor, weights: LossWeights
+    ) -> dict[str, Tensor]:
+        """LPIPS of the subject's crop and of the face, those with a weight and something to see.
+
+        The mask's edge is background here: a line around the subject would be a feature of its own.
+        """
+        valid = view.valid[..., None]
+        image, truth = (picture * valid + background * (1.0 - valid) for picture in (image, truth))
+        boxes = {"lpips": mask_box(view.inside), "face": self.face}
+        return {
+            name: self.perceptual.distance(
+                square_crop(image, box, self.side, background), square_crop(truth, box, self.side, background)
+            )
+            for name, box in boxes.items()
+            if box is not None and getattr(weights, name) > 0
+        }
+
+
 def picture_terms(
-    composite: Composite, view: View, background: Tensor, weights: LossWeights, label_kind: str
+    composite: Composite,
+    view: View,
+    background: Tensor,
+    weights: LossWeights,
+    label_kind: str,
+    lens: Lens | None = None,
 ) -> dict[str, Tensor]:
     """Unweighted picture terms of one camera; only those with a weight.
 
     `background` (3,) lies behind render and truth alike; pixels on the mask's edge do not count.
+    Without a `lens` there is no LPIPS.
     """
     picture = render(composite, view.camera)
     valid = view.valid[..., None]
@@ -85,6 +123,8 @@ def picture_terms(
         terms["flow"] = flow_loss(
             composite.means, *matrices, picture.depth, flow.to(image), trusted.to(image.device)
         )
+    if lens is not None:
+        terms |= lens.terms(image, truth, view, background, weights)
     image, truth = image * valid, truth * valid
     if weights.l1 > 0:
         terms["l1"] = l1(image, truth)

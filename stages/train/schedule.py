@@ -45,12 +45,12 @@ def image_scale(config: TrainConfig, done: float) -> float:
 def stage_weights(config: TrainConfig, done: float) -> LossWeights:
     """The weights in force.
 
-    The first stage knows neither penetration nor smoothing (Gaussian Wardrobe, sec. 3.4); flow guides the
-    early part only.
+    The first stage knows neither penetration nor smoothing nor the face's LPIPS (Gaussian Wardrobe,
+    sec. 3.4); flow guides the early part only.
     """
     weights = config.weights
     if done < config.stage_two:
-        weights = replace(weights, penetration=0.0, smooth=0.0)
+        weights = replace(weights, penetration=0.0, smooth=0.0, face=0.0)
     if done >= config.flow_until:
         weights = replace(weights, flow=0.0)
     return weights

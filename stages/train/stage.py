@@ -4,6 +4,7 @@ Reads:
     register-template: `smpl_params.npz` poses of the training take; `body.safetensors` body model.
     bake-maps: `<layer>.safetensors` maps of each layer that is there.
     the capture: images, masks and labels of the training take.
+    a file of perceptual weights (docs/formats.md), if one is given.
 Writes:
     `<layer>.safetensors`: base attributes (N, …) f32 per texel and network weights (`LayerModel.state`).
     `model.json`: {"layers": {name: `LayerModel.config`}}, inner to outer.
@@ -21,12 +22,14 @@ import torch
 
 from stages.pipeline import BAKE_MAPS, REGISTER_TEMPLATE, TRAIN
 from stages.shared.artifacts import Artifact, ExternalFiles, Progress, Workspace
+from stages.shared.artifacts.external import file_digest
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.avatar.model import LayerModel
 from stages.shared.body import BodyModel
 from stages.shared.capture import LAYERS, Capture, Take
 from stages.shared.capture.subject import open_subject_capture
 from stages.shared.errors import BadData, MissingInput, UsageProblem
+from stages.shared.losses.perceptual import SMALLEST_SIDE, Perceptual
 from stages.shared.plan import Plan
 from stages.shared.poses import load_poses
 from stages.shared.report import SILENT, Report
@@ -51,14 +54,17 @@ def run(
     config: TrainConfig | None = None,
     report: Report = SILENT,
     force: bool = False,
+    perceptual_weights: Path | None = None,
 ) -> TrainResult:
     """Train the layers of a subject; an interrupted run of the same configuration goes on where it stopped.
+
+    Without `perceptual_weights` the LPIPS terms are off.
 
     Raises:
         MissingInput: an earlier stage has not run. BadData: three steps in a row were not finite.
         KeyboardInterrupt: after Ctrl-C, with a checkpoint written.
     """
-    config = config or TrainConfig()
+    config = _with_digest(config or TrainConfig(), perceptual_weights)
     workspace = Workspace(subject)
     source = _open(workspace)
     inputs = source.inputs
@@ -67,7 +73,10 @@ def run(
         report.say("up to date")
         return TrainResult(found, found.summary)
     report.step("read")
-    trainer = _trainer(source, config, _device(config.device))
+    perceptual = Perceptual.load(perceptual_weights) if perceptual_weights else None
+    if perceptual is None and max(config.weights.lpips, config.weights.face) > 0:
+        report.say("no perceptual weights given: the LPIPS terms are off")
+    trainer = _trainer(source, config, _device(config.device), perceptual)
     with workspace.progress(TRAIN, config, inputs, force=force) as progress:
         state = checkpoint.restore(progress, trainer)
         if state.step:
@@ -87,14 +96,15 @@ def run(
     return TrainResult(build.artifact, build.artifact.summary)
 
 
-def plan(subject: Path, config: TrainConfig | None = None) -> Plan:
+def plan(subject: Path, config: TrainConfig | None = None, perceptual_weights: Path | None = None) -> Plan:
     """Inputs, outputs and cost of `run`; reads the maps, writes nothing."""
-    config = config or TrainConfig()
+    config = _with_digest(config or TrainConfig(), perceptual_weights)
     workspace = Workspace(subject)
     source = _open(workspace)
     maps = source.maps()
+    weights = [str(perceptual_weights)] if perceptual_weights else []
     return Plan(
-        inputs=[str(source.registered.path), str(source.baked.path), str(source.capture.root)],
+        inputs=[str(source.registered.path), str(source.baked.path), str(source.capture.root), *weights],
         outputs=[f"{workspace.root / TRAIN.name}/<key>/{name}.safetensors" for name in maps],
         config=asdict(config),
         seconds=cost.seconds(maps, config),
@@ -143,6 +153,19 @@ def _open(workspace: Workspace) -> _Source:
     return _Source(registered, baked, capture, takes[name])
 
 
+def _with_digest(config: TrainConfig, perceptual_weights: Path | None) -> TrainConfig:
+    """The configuration with what names the perceptual weights, so that others give another artifact."""
+    if perceptual_weights is None:
+        return replace(config, perceptual_digest="")
+    if config.perceptual_side < SMALLEST_SIDE:
+        raise UsageProblem(
+            f"LPIPS cannot see crops of {config.perceptual_side} pixels.",
+            "perceptual_side",
+            f"Choose at least {SMALLEST_SIDE}.",
+        )
+    return replace(config, perceptual_digest=file_digest(perceptual_weights))
+
+
 def _device(name: str) -> torch.device:
     if name not in ("auto", "cpu", "cuda"):
         raise UsageProblem(f"There is no device {name!r}.", "option --device", "Choose auto, cpu or cuda.")
@@ -151,7 +174,9 @@ def _device(name: str) -> torch.device:
     return torch.device("cuda" if name != "cpu" and torch.cuda.is_available() else "cpu")
 
 
-def _trainer(source: _Source, config: TrainConfig, device: torch.device) -> Trainer:
+def _trainer(
+    source: _Source, config: TrainConfig, device: torch.device, perceptual: Perceptual | None
+) -> Trainer:
     body = BodyModel.from_arrays(source.registered.arrays("body.safetensors"))
     poses = load_poses(source.registered.file("smpl_params.npz"), body)
     maps = source.maps()
@@ -168,7 +193,7 @@ def _trainer(source: _Source, config: TrainConfig, device: torch.device) -> Trai
         name: LayerModel(layer.to(device), shape, seed=config.seed + index).to(device)
         for index, (name, layer) in enumerate(maps.items())
     }
-    return Trainer(config, models, views, device)
+    return Trainer(config, models, views, device, perceptual)
 
 
 def _summary(trainer: Trainer, state: RunState, progress: Progress) -> dict[str, Any]:

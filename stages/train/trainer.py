@@ -16,11 +16,14 @@ from stages.shared.avatar.compose import Composite, compose
 from stages.shared.avatar.deform import PosedGaussians, pose_layer, view_cosines
 from stages.shared.avatar.model import LayerModel
 from stages.shared.avatar.pose import FramePose, frame_pose
+from stages.shared.capture import Camera
 from stages.shared.errors import BadData
+from stages.shared.losses.crops import face_box, face_centre
+from stages.shared.losses.perceptual import Perceptual
 from stages.train import schedule
 from stages.train.config import LearningRates, LossWeights, TrainConfig
 from stages.train.data import StepChoice, TrainingViews, choose
-from stages.train.objective import Surfaces, picture_terms, surface_terms, weighted
+from stages.train.objective import Lens, Surfaces, picture_terms, surface_terms, weighted
 
 _ADAM_EPSILON = 1e-15  # gradients of single Gaussians are tiny; the usual 1e-8 would drown them
 _LATER_KINDS = ("quaternion", "opacity", "scale", "color")  # free attributes that wait for full-size pictures
@@ -54,13 +57,19 @@ class Trainer:
 
     Arguments:
         config: of the run. models: name to model, inner to outer, on `device`. views: training pictures.
-        device: where everything is computed.
+        device: where everything is computed. perceptual: metric of the LPIPS terms; None: without.
     """
 
     def __init__(
-        self, config: TrainConfig, models: dict[str, LayerModel], views: TrainingViews, device: torch.device
+        self,
+        config: TrainConfig,
+        models: dict[str, LayerModel],
+        views: TrainingViews,
+        device: torch.device,
+        perceptual: Perceptual | None = None,
     ) -> None:
         self.config, self.models, self.views, self.device = config, models, views, device
+        self.perceptual = perceptual.to(device) if perceptual is not None else None
         self.frames = views.frames(config.frame_step)
         self.cameras = views.take.training_cameras
         self.surfaces = Surfaces.of({name: model.maps for name, model in models.items()})
@@ -131,7 +140,8 @@ class Trainer:
                     view = self.views.view(choice.frame, camera, scale).to(self.device)
                 with clock("splat"):
                     behind = torch.from_numpy(background).to(self.device)
-                    terms = picture_terms(leaves, view, behind, weights, self.config.label_kind)
+                    lens = self._lens(choice.frame, view.camera)
+                    terms = picture_terms(leaves, view, behind, weights, self.config.label_kind, lens)
                     _sum(terms, weights, 1.0 / len(views), sums).backward()
             with clock("surface"):
                 terms = surface_terms(posed, self.surfaces, weights, self.config.penetration_margin)
@@ -142,6 +152,13 @@ class Trainer:
                 pairs = [(root, seed) for root, seed in pairs if root.requires_grad]
                 torch.autograd.backward([root for root, _ in pairs], [seed for _, seed in pairs])
         return sums
+
+    def _lens(self, frame: int, camera: Camera) -> Lens | None:
+        """How the perceptual terms look at a view; None without the metric."""
+        if self.perceptual is None:
+            return None
+        face = face_box(camera, face_centre(self.views.body, self.views.poses, frame))
+        return Lens(self.perceptual, self.config.perceptual_side, face)
 
     def _cosines(self, choice: StepChoice, camera: str) -> dict[str, Tensor] | None:
         """Slightly disturbed viewing cosines of every layer, when the models want them."""

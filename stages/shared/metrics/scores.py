@@ -7,8 +7,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
+from stages.shared.losses.crops import mask_box, square_crop
+from stages.shared.losses.perceptual import Perceptual
 from stages.shared.metrics.psnr import Picture, psnr
 from stages.shared.metrics.segmentation import GARMENT_LABELS, segmentation_scores
 from stages.shared.metrics.sharpness import sharpness
@@ -18,6 +21,7 @@ from stages.shared.metrics.ssim import ssim, ssim_in_box
 Scores = dict[str, float | None]
 Labels = NDArray[np.uint8]
 MASK_THRESHOLD = 127
+_LPIPS_SIDE, _LPIPS_MARGIN = 512, 50  # pixels, as published avatars are scored
 _SMALLEST_REGION = 50  # pixels; smaller regions say nothing
 _REGIONS = {"upper": (3,), "lower": (4,), "outer": (5,), "rest": (0, 1, 2)}
 
@@ -55,7 +59,7 @@ class ViewPair:
     truth_labels: Labels | None = None
 
 
-def view_scores(view: ViewPair) -> Scores:
+def view_scores(view: ViewPair, perceptual: Perceptual | None = None) -> Scores:
     """Every score of a view by its name (`NAMES`); None where it cannot be computed.
 
     - `psnr_foreground`: over pixels with mask > 127. `ssim_foreground`: Gaussian window, their bounding box.
@@ -63,7 +67,7 @@ def view_scores(view: ViewPair) -> Scores:
       window.
     - `iou`: alpha > 0.5 against mask > 127. `miou`, `recall`, `f1`: garment labels.
     - `sharpness`: gradient energy over the truth's. `psnr_upper` …: inside the true label regions.
-    - `lpips` and `flip` need what is not here (a weight file) and stay None.
+    - `lpips`: with a metric only; the mask's box and 50 px, on a white square of 512 px. `flip` stays None.
     """
     inside = view.mask > MASK_THRESHOLD
     outside = ~inside[..., None]
@@ -78,6 +82,8 @@ def view_scores(view: ViewPair) -> Scores:
         "iou": iou(view.alpha > 0.5, inside),
         "sharpness": sharpness(view.prediction, view.truth, inside),
     }
+    if perceptual is not None:
+        scores["lpips"] = _lpips(perceptual, prediction_on_white, truth_on_white, inside)
     if view.truth_labels is not None:
         for region, labels in _REGIONS.items():
             member = inside & np.isin(view.truth_labels, labels)
@@ -86,6 +92,22 @@ def view_scores(view: ViewPair) -> Scores:
     if view.truth_labels is not None and view.prediction_labels is not None:
         scores |= segmentation_scores(view.prediction_labels, view.truth_labels, GARMENT_LABELS)
     return scores
+
+
+def _lpips(
+    perceptual: Perceptual, prediction: Picture, truth: Picture, inside: NDArray[np.bool_]
+) -> float | None:
+    """LPIPS of the subject's crop, pictures on white; None where the mask is empty."""
+    box = mask_box(torch.from_numpy(inside), _LPIPS_MARGIN)
+    if box is None:
+        return None
+    white = torch.ones(3)
+    crops = [
+        square_crop(torch.from_numpy(picture).float() / 255.0, box, _LPIPS_SIDE, white)
+        for picture in (prediction, truth)
+    ]
+    with torch.no_grad():
+        return float(perceptual.distance(*crops))
 
 
 def mean_scores(rows: Iterable[Scores]) -> Scores:

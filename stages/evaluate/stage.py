@@ -26,6 +26,7 @@ from stages.evaluate.views import FrameViews, require_views, views_of
 from stages.pipeline import BAKE_MAPS, REGISTER_TEMPLATE, SEGMENT_LAYERS, TRAIN
 from stages.shared.artifacts import Workspace
 from stages.shared.artifacts.canonical import readable_json
+from stages.shared.artifacts.external import file_digest
 from stages.shared.artifacts.files import write_file
 from stages.shared.artifacts.pictures import encode_png
 from stages.shared.body import BodyModel
@@ -123,6 +124,8 @@ def run(
         summary["seconds"] = round(time.monotonic() - started, 1)
         write_file(folder / "views.json", readable_json(rows))
         content = {"format": MARK, "version": 1, "config": asdict(config), **summary}
+        if perceptual_weights:
+            content["perceptual_digest"] = file_digest(perceptual_weights)
         write_file(folder / RESULT_NAME, readable_json(content))
     return EvaluateResult(output, summary)
 

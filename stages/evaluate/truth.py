@@ -20,6 +20,7 @@ import numpy as np
 from stages.evaluate.config import EvaluateConfig
 from stages.evaluate.gather import Gathered, comparison
 from stages.shared.artifacts.canonical import readable_json, strict_json
+from stages.shared.artifacts.external import file_digest
 from stages.shared.artifacts.files import write_file
 from stages.shared.artifacts.pictures import encode_png
 from stages.shared.capture import Take, open_capture
@@ -86,6 +87,8 @@ def run(
         summary["seconds"] = round(time.monotonic() - started, 1)
         write_file(folder / "views.json", readable_json({_SPLIT: gathered.rows}))
         content = {"format": MARK, "version": 1, "config": asdict(config), **summary}
+        if perceptual_weights:
+            content["perceptual_digest"] = file_digest(perceptual_weights)
         write_file(folder / RESULT_NAME, readable_json(content))
     return TruthResult(output, summary)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from pathlib import Path
 
 import pytest
@@ -27,5 +29,8 @@ def test_lpips_is_scored_with_the_file(
     result = stage.run(
         dressed_subject, tmp_path / "out", config, perceptual_weights=tmp_path / "weights.safetensors"
     )
+    written = json.loads((tmp_path / "out/evaluation.json").read_bytes())
+    content = (tmp_path / "weights.safetensors").read_bytes()
+    assert written["perceptual_digest"] == hashlib.sha256(content).hexdigest()
     scores = result.summary["novel_view"]
     assert 0 < scores["trained"]["lpips"] < scores["baseline"]["lpips"]

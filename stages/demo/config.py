@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-
 # Training minutes per subject that keep the whole demo under 20 minutes on two cores.
 MINUTES = {"draft": 4.5}
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from gw_cli.console import Console, command
-from gw_cli.options import DryRun, Json, Preset, preset_config
+from gw_cli.options import DryRun, Json, Preset, names, preset_config
 from stages.shared.errors import UsageProblem
 
 
@@ -58,7 +58,7 @@ def register(app: typer.Typer) -> None:
         from stages.evaluate.config import PRESETS
 
         console = Console(as_json)
-        config = replace(preset_config(PRESETS, preset), splits=_names(split), methods=_names(methods))
+        config = replace(preset_config(PRESETS, preset), splits=names(split), methods=names(methods))
         if frame_step is not None:
             config = replace(config, frame_step=frame_step)
         if test_frame_step is not None:
@@ -103,7 +103,3 @@ def _frames_against_truth(
         return
     result = truth_stage.run(frames, truth, folder, config, console, weights)
     console.result({"path": result.path, **result.summary})
-
-
-def _names(text: str) -> tuple[str, ...]:
-    return tuple(name.strip() for name in text.split(",") if name.strip())

@@ -22,6 +22,22 @@ Device = Annotated[str, typer.Option(help="auto | cpu | cuda.")]
 Force = Annotated[bool, typer.Option("--force", help="Do it again though it is up to date.")]
 
 
+# What `gw tryon` and `gw render` share.
+FilmFolder = Annotated[Path, typer.Option("-o", "--output", help="Folder of film and frames.")]
+Betas = Annotated[str, typer.Option(help="Another body shape: up to ten numbers, 0.5,-1.2.")]
+Rows = Annotated[str, typer.Option(help="Only these rows of the motion, as a slice: 10:90:2.")]
+FrameRate = Annotated[float, typer.Option(min=0, help="Frames per second; 0 keeps the motion's own.")]
+Pixels = Annotated[int | None, typer.Option(min=16, max=8192, help="Pixels.")]
+Background = Annotated[str, typer.Option(help="white | black | grey | #rrggbb.")]
+Passes = Annotated[str, typer.Option(help="Also write: labels,depth,layers.")]
+Swap = Annotated[
+    bool, typer.Option(help="Beneath a garment, give the body the form of the garment's source.")
+]
+Penetration = Annotated[
+    bool, typer.Option(help="Repair pixels where an inner layer pokes through a garment.")
+]
+
+
 def preset_config(presets: dict[str, Config], name: str) -> Config:
     """The preset called `name`, or a usage error that lists the ones there are."""
     if name not in presets:
@@ -31,3 +47,8 @@ def preset_config(presets: dict[str, Config], name: str) -> Config:
             "Choose one of: " + ", ".join(presets) + ".",
         )
     return presets[name]
+
+
+def names(text: str) -> tuple[str, ...]:
+    """The names in a comma-separated list."""
+    return tuple(name.strip() for name in text.split(",") if name.strip())

@@ -9,7 +9,22 @@ from typing import Annotated
 import typer
 
 from gw_cli.console import Console, command
-from gw_cli.options import DryRun, Json, Preset, preset_config
+from gw_cli.options import (
+    Background,
+    Betas,
+    DryRun,
+    FilmFolder,
+    FrameRate,
+    Json,
+    Passes,
+    Penetration,
+    Pixels,
+    Preset,
+    Rows,
+    Swap,
+    names,
+    preset_config,
+)
 
 
 def register(app: typer.Typer) -> None:
@@ -25,27 +40,21 @@ def register(app: typer.Typer) -> None:
         cameras: Annotated[
             Path | None, typer.Option(help="A capture: its cameras, for the frames it has images of.")
         ] = None,
-        output: Annotated[Path, typer.Option("-o", "--output", help="Folder of film and frames.")] = Path(
-            "render"
-        ),
+        output: FilmFolder = Path("render"),
         camera: Annotated[
             str, typer.Option(help="static | orbit; with --cameras the name of one camera.")
         ] = "",
         take: Annotated[str, typer.Option(help="With --cameras: which take of the capture.")] = "",
         layers: Annotated[str, typer.Option(help="Only these layers, e.g. body,lower.")] = "",
-        betas: Annotated[str, typer.Option(help="Another body shape: up to ten numbers, 0.5,-1.2.")] = "",
-        frames: Annotated[str, typer.Option(help="Only these rows of the motion, as a slice: 10:90:2.")] = "",
-        fps: Annotated[float, typer.Option(min=0, help="Frames per second; 0 keeps the motion's own.")] = 0.0,
-        width: Annotated[int | None, typer.Option(min=16, max=8192, help="Pixels.")] = None,
-        height: Annotated[int | None, typer.Option(min=16, max=8192, help="Pixels.")] = None,
-        background: Annotated[str, typer.Option(help="white | black | grey | #rrggbb.")] = "white",
-        passes: Annotated[str, typer.Option(help="Also write: labels,depth,layers.")] = "",
-        swap: Annotated[
-            bool, typer.Option(help="Beneath a garment, give the body the form of the garment's source.")
-        ] = True,
-        penetration: Annotated[
-            bool, typer.Option(help="Repair pixels where an inner layer pokes through a garment.")
-        ] = True,
+        betas: Betas = "",
+        frames: Rows = "",
+        fps: FrameRate = 0.0,
+        width: Pixels = None,
+        height: Pixels = None,
+        background: Background = "white",
+        passes: Passes = "",
+        swap: Swap = True,
+        penetration: Penetration = True,
         preset: Preset = "draft",
         dry_run: DryRun = False,
         as_json: Json = False,
@@ -70,8 +79,8 @@ def register(app: typer.Typer) -> None:
             width=width or base.width,
             height=height or base.height,
             background=background,
-            layers=_names(layers),
-            passes=_names(passes),
+            layers=names(layers),
+            passes=names(passes),
             swap=swap,
             penetration=penetration,
         )
@@ -81,7 +90,3 @@ def register(app: typer.Typer) -> None:
         result = stage.run(sources, poses, cameras, output, config, console)
         score = f"gw evaluate --frames {result.path} --truth {cameras}" if cameras else None
         console.result({"path": result.path, **result.summary}, next_command=score)
-
-
-def _names(text: str) -> tuple[str, ...]:
-    return tuple(name.strip() for name in text.split(",") if name.strip())

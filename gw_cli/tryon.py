@@ -9,7 +9,22 @@ from typing import Annotated
 import typer
 
 from gw_cli.console import Console, command
-from gw_cli.options import DryRun, Json, Preset, preset_config
+from gw_cli.options import (
+    Background,
+    Betas,
+    DryRun,
+    FilmFolder,
+    FrameRate,
+    Json,
+    Passes,
+    Penetration,
+    Pixels,
+    Preset,
+    Rows,
+    Swap,
+    names,
+    preset_config,
+)
 
 
 def register(app: typer.Typer) -> None:
@@ -20,23 +35,17 @@ def register(app: typer.Typer) -> None:
             list[Path], typer.Argument(metavar="BODY.gwg GARMENT.gwg …", help="One body and its garments.")
         ],
         poses: Annotated[Path, typer.Option(help="The motion: npz of SMPL-X or AMASS, or BVH.")],
-        output: Annotated[Path, typer.Option("-o", "--output", help="Folder of film and frames.")] = Path(
-            "tryon"
-        ),
-        betas: Annotated[str, typer.Option(help="Another body shape: up to ten numbers, 0.5,-1.2.")] = "",
+        output: FilmFolder = Path("tryon"),
+        betas: Betas = "",
         camera: Annotated[str, typer.Option(help="static | orbit.")] = "static",
-        frames: Annotated[str, typer.Option(help="Only these rows of the motion, as a slice: 10:90:2.")] = "",
-        fps: Annotated[float, typer.Option(min=0, help="Frames per second; 0 keeps the motion's own.")] = 0.0,
-        width: Annotated[int | None, typer.Option(min=16, max=8192, help="Pixels.")] = None,
-        height: Annotated[int | None, typer.Option(min=16, max=8192, help="Pixels.")] = None,
-        background: Annotated[str, typer.Option(help="white | black | grey | #rrggbb.")] = "white",
-        passes: Annotated[str, typer.Option(help="Also write: labels,depth,layers.")] = "",
-        swap: Annotated[
-            bool, typer.Option(help="Beneath a garment, give the body the form of the garment's source.")
-        ] = True,
-        penetration: Annotated[
-            bool, typer.Option(help="Repair pixels where an inner layer pokes through a garment.")
-        ] = True,
+        frames: Rows = "",
+        fps: FrameRate = 0.0,
+        width: Pixels = None,
+        height: Pixels = None,
+        background: Background = "white",
+        passes: Passes = "",
+        swap: Swap = True,
+        penetration: Penetration = True,
         preset: Preset = "draft",
         dry_run: DryRun = False,
         as_json: Json = False,
@@ -60,7 +69,7 @@ def register(app: typer.Typer) -> None:
             width=width or base.width,
             height=height or base.height,
             background=background,
-            passes=tuple(name.strip() for name in passes.split(",") if name.strip()),
+            passes=names(passes),
             swap=swap,
             penetration=penetration,
         )

@@ -20,7 +20,7 @@ Writes:
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +34,7 @@ from stages.bake_maps.texels import Texels, cast_texels
 from stages.bake_maps.unseen import unseen_share
 from stages.pipeline import BAKE_MAPS, CANONICALIZE, REGISTER_TEMPLATE, SEGMENT_LAYERS
 from stages.shared.artifacts import Artifact, ExternalFiles, Workspace
+from stages.shared.artifacts.result import StageResult
 from stages.shared.capture import Take
 from stages.shared.capture.layer_colors import layer_colors
 from stages.shared.capture.template_views import frame_files, template_take
@@ -59,17 +60,9 @@ _ABOUT = {
 Mesh = dict[str, np.ndarray]
 
 
-@dataclass(frozen=True)
-class BakeMapsResult:
-    """The artifact and the numbers to judge it by."""
-
-    artifact: Artifact
-    summary: dict[str, Any]
-
-
 def run(
     subject: Path, config: BakeMapsConfig = BakeMapsConfig(), report: Report = SILENT, force: bool = False
-) -> BakeMapsResult:
+) -> StageResult:
     """Bake the maps of every layer of a subject.
 
     Raises:
@@ -89,7 +82,7 @@ def run(
     found = None if force else workspace.find(BAKE_MAPS, config, inputs)
     if found:
         report.say("bake-maps is up to date")
-        return BakeMapsResult(found, found.summary)
+        return StageResult(found, found.summary)
     with workspace.build(BAKE_MAPS, config, inputs, force) as build:
         meshes = {name: segmented.arrays(name) for name in segmented.summary["layers"]}
         grid = Grid.around(canonical.arrays("body")["vertices"], config.pitch, config.extent_m)
@@ -111,7 +104,7 @@ def run(
     for name, share in summary["unseen_area"].items():
         if share > 0.01:
             report.warn(f"{100 * share:.1f} % of the surface of {name} is hidden from both views")
-    return BakeMapsResult(build.artifact, summary)
+    return StageResult(build.artifact, summary)
 
 
 def plan(subject: Path, config: BakeMapsConfig = BakeMapsConfig()) -> Plan:

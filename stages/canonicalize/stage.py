@@ -14,7 +14,7 @@ Writes:
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ from stages.canonicalize.tearing import Tears, cut_tears
 from stages.canonicalize.unpose import Unposed, forward_skin, inverse_skin, unpose
 from stages.pipeline import CANONICALIZE, REGISTER_TEMPLATE
 from stages.shared.artifacts import Artifact, Workspace
+from stages.shared.artifacts.result import StageResult
 from stages.shared.body.canonical import posed_from_canonical
 from stages.shared.body.kinematics import posed_vertices
 from stages.shared.body.model import BodyModel
@@ -50,20 +51,12 @@ _ABOUT = {
 }
 
 
-@dataclass(frozen=True)
-class CanonicalizeResult:
-    """The artifact and the numbers to judge it by."""
-
-    artifact: Artifact
-    summary: dict[str, Any]
-
-
 def run(
     subject: Path,
     config: CanonicalizeConfig = CanonicalizeConfig(),
     report: Report = SILENT,
     force: bool = False,
-) -> CanonicalizeResult:
+) -> StageResult:
     """Canonicalize the registered template of a subject.
 
     Raises:
@@ -75,7 +68,7 @@ def run(
     found = None if force else workspace.find(CANONICALIZE, config, inputs)
     if found:
         report.say("canonicalize is up to date")
-        return CanonicalizeResult(found, found.summary)
+        return StageResult(found, found.summary)
     with workspace.build(CANONICALIZE, config, inputs, force) as build:
         template = registered.arrays("template")
         body = BodyModel.from_arrays(registered.arrays("body"))
@@ -112,7 +105,7 @@ def run(
         build.write_picture("preview.png", two_sided_picture(zero_shape, tears.faces, template.get("colors")))
         build.summary(**_summary(unposed, tears, round_trip, field, len(world)))
     _tell(build.artifact, report)
-    return CanonicalizeResult(build.artifact, build.artifact.summary)
+    return StageResult(build.artifact, build.artifact.summary)
 
 
 def plan(subject: Path, config: CanonicalizeConfig = CanonicalizeConfig()) -> Plan:

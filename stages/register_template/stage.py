@@ -16,9 +16,8 @@ and a copy of smpl_params.npz at SUBJECT/smpl_params.npz.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,8 +33,9 @@ from stages.register_template.sources import (
     register_capture,
     register_mesh,
 )
-from stages.shared.artifacts import Artifact, Workspace
+from stages.shared.artifacts import Workspace
 from stages.shared.artifacts.build import Build
+from stages.shared.artifacts.result import StageResult
 from stages.shared.capture.subject import remember_capture
 from stages.shared.errors import MissingInput, UsageProblem
 from stages.shared.meshes.picture import two_sided_picture
@@ -50,14 +50,6 @@ _ABOUT = {
 }
 
 
-@dataclass(frozen=True)
-class RegisterTemplateResult:
-    """The artifact and the numbers to judge it by."""
-
-    artifact: Artifact
-    summary: dict[str, Any]
-
-
 def run(
     given: Path,
     subject: Path,
@@ -67,7 +59,7 @@ def run(
     params: Path | None = None,
     format: str | None = None,
     force: bool = False,
-) -> RegisterTemplateResult:
+) -> StageResult:
     """Register the capture or mesh `given` as the workspace `subject`.
 
     Arguments:
@@ -98,7 +90,7 @@ def run(
     if source.capture:
         remember_capture(workspace, source.capture, str(found.json("report")["convention"]))
     workspace.publish(found, "smpl_params.npz", "smpl_params.npz")
-    return RegisterTemplateResult(found, found.summary)
+    return StageResult(found, found.summary)
 
 
 def plan(

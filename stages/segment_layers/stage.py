@@ -16,7 +16,7 @@ Writes:
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,7 @@ from stages.segment_layers.labelling import known_labels, label_vertices, tidy_l
 from stages.segment_layers.layers import GARMENT_LABELS, Template, body_layer, garment_layer
 from stages.segment_layers.regions import vertex_areas
 from stages.shared.artifacts import Artifact, ExternalFiles, Workspace
+from stages.shared.artifacts.result import StageResult
 from stages.shared.body.model import BodyModel
 from stages.shared.capture import LABELS, NO_LABEL, Take, label_picture
 from stages.shared.capture.layer_colors import has_label_images, layer_colors
@@ -56,20 +57,12 @@ _ABOUT = {
 }
 
 
-@dataclass(frozen=True)
-class SegmentLayersResult:
-    """The artifact and the numbers to judge it by."""
-
-    artifact: Artifact
-    summary: dict[str, Any]
-
-
 def run(
     subject: Path,
     config: SegmentLayersConfig = SegmentLayersConfig(),
     report: Report = SILENT,
     force: bool = False,
-) -> SegmentLayersResult:
+) -> StageResult:
     """Segment the canonical template of a subject.
 
     Raises:
@@ -88,7 +81,7 @@ def run(
     found = None if force else workspace.find(SEGMENT_LAYERS, config, inputs)
     if found:
         report.say("segment-layers is up to date")
-        return SegmentLayersResult(found, found.summary)
+        return StageResult(found, found.summary)
     with workspace.build(SEGMENT_LAYERS, config, inputs, force) as build:
         template = Template.load(registered.arrays("template"), canonical.arrays("template"))
         pose = load_poses(registered.file("smpl_params.npz"))[frame]
@@ -113,7 +106,7 @@ def run(
         build.summary(**_summary(template, labels, source, layers, registered))
     summary = build.artifact.summary
     report.say("layers: " + ", ".join(summary["layers"]) + f" (labels from {source})")
-    return SegmentLayersResult(build.artifact, summary)
+    return StageResult(build.artifact, summary)
 
 
 def plan(subject: Path, config: SegmentLayersConfig = SegmentLayersConfig()) -> Plan:

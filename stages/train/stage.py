@@ -23,6 +23,7 @@ import torch
 from stages.pipeline import BAKE_MAPS, REGISTER_TEMPLATE, TRAIN
 from stages.shared.artifacts import Artifact, ExternalFiles, Progress, Workspace
 from stages.shared.artifacts.external import file_digest
+from stages.shared.artifacts.result import StageResult
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.avatar.model import LayerModel
 from stages.shared.body import BodyModel
@@ -41,21 +42,13 @@ from stages.train.loop import learn
 from stages.train.trainer import Trainer
 
 
-@dataclass(frozen=True)
-class TrainResult:
-    """The finished artifact and a few numbers to judge it by."""
-
-    artifact: Artifact
-    summary: dict[str, Any]
-
-
 def run(
     subject: Path,
     config: TrainConfig | None = None,
     report: Report = SILENT,
     force: bool = False,
     perceptual_weights: Path | None = None,
-) -> TrainResult:
+) -> StageResult:
     """Train the layers of a subject; an interrupted run of the same configuration goes on where it stopped.
 
     Without `perceptual_weights` the LPIPS terms are off.
@@ -71,7 +64,7 @@ def run(
     found = None if force else workspace.find(TRAIN, config, inputs)
     if found is not None:
         report.say("up to date")
-        return TrainResult(found, found.summary)
+        return StageResult(found, found.summary)
     report.step("read")
     perceptual = Perceptual.load(perceptual_weights) if perceptual_weights else None
     if perceptual is None and max(config.weights.lpips, config.weights.face) > 0:
@@ -93,7 +86,7 @@ def run(
                 build.write_bytes(f"previews/{picture.name}", picture.read_bytes())
             build.summary(**_summary(trainer, state, progress))
             build.measured(training_seconds=round(state.elapsed, 1))
-    return TrainResult(build.artifact, build.artifact.summary)
+    return StageResult(build.artifact, build.artifact.summary)
 
 
 def plan(subject: Path, config: TrainConfig | None = None, perceptual_weights: Path | None = None) -> Plan:

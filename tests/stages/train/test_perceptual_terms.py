@@ -9,6 +9,7 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
+from stages.shared.artifacts.result import StageResult
 from stages.shared.errors import MissingInput
 from stages.shared.losses import perceptual
 from stages.train import schedule, stage, trainer
@@ -53,7 +54,7 @@ def weights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "weights.safetensors"
 
 
-def _losses(result: stage.TrainResult) -> dict[str, float]:
+def _losses(result: StageResult) -> dict[str, float]:
     return dict(json.loads(result.artifact.bytes("metrics.jsonl").splitlines()[-1])["losses"])
 
 

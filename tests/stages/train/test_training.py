@@ -15,6 +15,7 @@ import torch
 
 from stages.pipeline import BAKE_MAPS, TRAIN
 from stages.shared.artifacts import Workspace
+from stages.shared.artifacts.result import StageResult
 from stages.shared.avatar.config import PAPER_MODEL
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.avatar.model import LayerModel
@@ -37,7 +38,7 @@ def subject(prepared: Path, tmp_path: Path) -> Path:
     return tmp_path / "copy" / "subject"
 
 
-def _weights(result: stage.TrainResult) -> dict[str, np.ndarray]:
+def _weights(result: StageResult) -> dict[str, np.ndarray]:
     return {
         f"{layer}.{name}": values
         for layer in ("body", "upper")

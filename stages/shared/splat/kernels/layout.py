@@ -19,7 +19,6 @@ TILE = 16
 TILE_SHIFT = 4
 TILE_PIXELS = TILE * TILE
 BLOCK_WIDTH = 4
-BLOCK_WIDTH_SHIFT = 2
 BLOCKS_ACROSS = TILE // BLOCK_WIDTH
 
 # A record is what blending needs of one Gaussian, float32. The centre is split into a whole number of pixels

@@ -1,52 +1,40 @@
 """The learned part of one layer: free attributes per texel and networks for what depends on the pose.
 
-Every texel has base attributes (what plain splatting would optimise); StyleUNets read the posed positional
-map and answer a residual of all 14 attribute channels, zero at the start. With `base=False` the base
-attributes are the published constants and nothing but the networks learns.
-
-Channels, in this order: Δp 3 (times `offset_scale`, metres), quaternion 4, opacity logit 1, log scale 3,
-colour 3.
+Every texel has base attributes (what plain splatting would optimise, `TexelAttributes`); StyleUNets read the
+posed positional map and answer a residual of all 14 attribute channels, zero at the start. With `base=False`
+the base attributes are the published constants and nothing but the networks learns.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, fields
+from dataclasses import fields
 from typing import Any
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional
 
 from stages.shared.avatar.anchors import AnchorOffsets, sampled_maps
 from stages.shared.avatar.config import ModelConfig
-from stages.shared.avatar.deform import Attributes, unit_quaternions
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.avatar.positional import CosineMaps, PositionalMaps, network_grid
+from stages.shared.avatar.texel_attributes import TexelAttributes
 from stages.shared.errors import BadData
 from stages.shared.nets.styleunet import StyleUNet, ViewNet
 
-CHANNELS = {"offset": (0, 3), "quaternion": (3, 7), "opacity": (7, 8), "scale": (8, 11), "color": (11, 14)}
-_MIN_SCALE = 1e-5
-_FLATNESS = 0.3
 _USUAL_DEPARTURE = 0.05  # m, between poses, where the input is not normalised
 _BODY_JOINTS = 22  # without face and fingers
 _ROTATION_SHARE = 0.3 / (0.2 * math.sqrt(9 * _BODY_JOINTS))  # matrix entries usually differ by 0.2
 _LEAST_DEPARTURE = 0.01  # m; less is noise, not motion
 
 
-class LayerModel(nn.Module):
+class LayerModel(TexelAttributes):
     """Gaussian attributes of one layer for any pose.
 
     Arguments:
         maps: baked maps of the layer. config: shape of the model. seed: of the initial network weights.
     """
 
-    base_offset: Tensor  # (N, 3) m
-    base_quaternion: Tensor  # (N, 4)
-    base_opacity: Tensor  # (N,) logit
-    base_scale: Tensor  # (N, 3) log m
-    base_color: Tensor  # (N, 3) logit, or plain with linear colours
     sample_points: Tensor
     input_mean: Tensor  # (1, C, h, w) m
     input_scale: Tensor  # (1,) m
@@ -54,10 +42,8 @@ class LayerModel(nn.Module):
     fading: Tensor  # (1,), with anchors
 
     def __init__(self, maps: LayerMaps, config: ModelConfig | None = None, seed: int = 0) -> None:
-        super().__init__()
         config = config or ModelConfig()
-        self.model_config, self.layer = config, maps.layer
-        self.maps = maps
+        super().__init__(maps, config)
         grid = network_grid(maps.window, config.factor, config.depth)
         self.positional = PositionalMaps(maps, grid, config.input_views)
         self.register_buffer("sample_points", _sample_points(maps, grid), persistent=False)
@@ -89,22 +75,6 @@ class LayerModel(nn.Module):
             self.register_buffer("mean_residual", maps.positions.new_zeros(len(maps), 14))
             self.register_buffer("fading", torch.zeros(1))
         self.cosines = CosineMaps(maps, grid) if config.view_conditioning else None
-        for name, start in _start(maps, config).items():
-            if config.base:
-                self.register_parameter(f"base_{name}", nn.Parameter(start))
-            else:
-                self.register_buffer(f"base_{name}", start)
-
-    @property
-    def config(self) -> dict[str, Any]:
-        """All that `from_state` needs beside maps and tensors; plain JSON."""
-        return {"layer": self.layer, "texels": len(self.maps), **asdict(self.model_config)}
-
-    def state(self) -> dict[str, Tensor]:
-        """Every learned tensor (and the networks' fixed noise), float32, contiguous, on the CPU."""
-        return {
-            name: tensor.detach().cpu().contiguous().clone() for name, tensor in self.state_dict().items()
-        }
 
     @classmethod
     def from_state(cls, config: dict[str, Any], maps: LayerMaps, tensors: dict[str, Tensor]) -> LayerModel:
@@ -128,12 +98,6 @@ class LayerModel(nn.Module):
             )
         model.load_state_dict(tensors)
         return model
-
-    def base_parameters(self) -> dict[str, Tensor]:
-        """Free attributes by name (offset, quaternion, opacity, scale, color); empty when `base` is off."""
-        if not self.model_config.base:
-            return {}
-        return {name: getattr(self, f"base_{name}") for name in CHANNELS}
 
     def fit_input(self, poses: list[Tensor]) -> None:
         """Look at the training poses, each (55, 4, 4) as in `residual`, before training starts.
@@ -191,27 +155,6 @@ class LayerModel(nn.Module):
         joined = torch.cat((offset, other[:, 4:8], other[:, 0:1], other[:, 1:4], color), dim=1)
         return self._with_anchors(joined, image, local_transforms)
 
-    def attributes(self, residual: Tensor) -> Attributes:
-        """Base attributes plus a residual (N, 14), through the heads' activations."""
-        widths = [high - low for low, high in CHANNELS.values()]
-        part = dict(zip(CHANNELS, residual.split(widths, dim=1), strict=True))
-        config = self.model_config
-        log_scale = self.base_scale + part["scale"]
-        if config.max_scale > 0:
-            log_scale = log_scale.clamp(math.log(_MIN_SCALE), math.log(config.max_scale))
-        color = self.base_color + part["color"]
-        return Attributes(
-            offsets=self.base_offset + config.offset_scale * part["offset"],
-            quaternions=unit_quaternions(self.base_quaternion + part["quaternion"]),
-            scales=log_scale.exp(),
-            opacities=torch.sigmoid(self.base_opacity + part["opacity"][:, 0]),
-            colors=torch.sigmoid(color) if config.color == "sigmoid" else color,
-        )
-
-    def forward(self, local_transforms: Tensor, cosines: Tensor | None = None) -> Attributes:
-        """Attributes in a pose; arguments as in `residual`."""
-        return self.attributes(self.residual(local_transforms, cosines))
-
     def _sampled(self, images: Tensor) -> Tensor:
         """Maps (2, C, h, w) of the window at every texel (N, C)."""
         return sampled_maps(images, self.sample_points, self._front)
@@ -243,37 +186,3 @@ def _sample_points(maps: LayerMaps, grid: Any) -> Tensor:
     x = (column + grid.column + 0.5) / (grid.width * grid.factor)
     y = (row + grid.row + 0.5) / (grid.height * grid.factor)
     return torch.stack((x, y), dim=1).float() * 2 - 1
-
-
-def _start(maps: LayerMaps, config: ModelConfig) -> dict[str, Tensor]:
-    """Initial base attributes: discs of the projected colours on the surface, or the published constants."""
-    count = len(maps)
-    log_spacing = maps.spacing.clamp(min=_MIN_SCALE).log()[:, None].repeat(1, 3)
-    quaternion = maps.positions.new_tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1)
-    if not config.base:
-        return {
-            "offset": maps.positions.new_zeros(count, 3),
-            "quaternion": quaternion,
-            "opacity": maps.positions.new_zeros(count),
-            "scale": log_spacing,
-            "color": maps.positions.new_zeros(count, 3),
-        }
-    log_spacing[:, 2] += math.log(_FLATNESS)
-    color = torch.logit(maps.colors.clamp(0.02, 0.98)) if config.color == "sigmoid" else maps.colors.clone()
-    return {
-        "offset": maps.positions.new_zeros(count, 3),
-        "quaternion": z_to(maps.normals),
-        "opacity": torch.full_like(maps.spacing, math.log(0.9 / 0.1)),
-        "scale": log_spacing,
-        "color": color,
-    }
-
-
-def z_to(normals: Tensor) -> Tensor:
-    """Unit quaternions (N, 4) wxyz that turn the z axis to `normals` (N, 3); a half turn about x for −z."""
-    normals = functional.normalize(normals, dim=1)
-    x, y, z = normals.unbind(dim=1)
-    quaternion = torch.stack((1 + z, -y, x, torch.zeros_like(x)), dim=1)  # (1 + z·n, z × n)
-    opposite = (1 + z) < 1e-6
-    quaternion = torch.where(opposite[:, None], quaternion.new_tensor([0.0, 1.0, 0.0, 0.0]), quaternion)
-    return functional.normalize(quaternion, dim=1)

@@ -13,8 +13,9 @@ from stages.shared.avatar.compose import compose
 from stages.shared.avatar.config import PAPER_MODEL, ModelConfig
 from stages.shared.avatar.deform import pose_layer, rotation_matrices
 from stages.shared.avatar.maps import LayerMaps
-from stages.shared.avatar.model import LayerModel, z_to
+from stages.shared.avatar.model import LayerModel
 from stages.shared.avatar.positional import PositionalMaps, network_grid
+from stages.shared.avatar.texel_attributes import z_to
 from stages.shared.errors import BadData
 from tests.shared.avatar.tubes import CENTRE, GRID, PITCH, tube, tube_arrays
 

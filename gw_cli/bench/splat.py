@@ -1,4 +1,4 @@
-"""`gw bench`: how fast this machine is."""
+"""`gw bench splat`: the speed of the Gaussian rasteriser."""
 
 from __future__ import annotations
 
@@ -7,19 +7,12 @@ from typing import Annotated
 
 import typer
 
+from gw_cli.bench.lists import numbers
 from gw_cli.console import Console, command
 from gw_cli.options import Json
-from stages.shared.errors import UsageProblem
 
 
-def register(app: typer.Typer) -> None:
-    bench = typer.Typer(help="Measure this machine.", no_args_is_help=True)
-    app.add_typer(bench, name="bench")
-
-    @bench.callback()
-    def group() -> None:
-        """Measure this machine."""
-
+def register(bench: typer.Typer) -> None:
     @bench.command("splat")
     @command
     def splat(
@@ -47,9 +40,9 @@ def register(app: typer.Typer) -> None:
 
         console = Console(as_json)
         config = BenchConfig(
-            _numbers("gaussians", gaussians),
-            _numbers("sizes", sizes),
-            _numbers("channels", channels),
+            numbers("gaussians", gaussians),
+            numbers("sizes", sizes),
+            numbers("channels", channels),
             rounds,
             threads,
         )
@@ -62,15 +55,3 @@ def register(app: typer.Typer) -> None:
         shown["times faster than the reference"] = summary["times_faster_than_reference"]
         shown["files"] = [str(path) for path in result.files]
         console.result(shown)
-
-
-def _numbers(option: str, text: str) -> tuple[int, ...]:
-    """'25k,50k' -> (25000, 50000)."""
-    try:
-        return tuple(
-            int(float(word.rstrip("kK")) * (1000 if word[-1:] in "kK" else 1)) for word in text.split(",")
-        )
-    except (ValueError, OverflowError):
-        raise UsageProblem(
-            f"{text!r} is not a list of numbers.", f"option --{option}", "Write for example 25k,50k."
-        ) from None

@@ -1,0 +1,22 @@
+"""`gw bench`: how fast this machine is. One module per subcommand, each with `register(bench)`."""
+
+from __future__ import annotations
+
+import importlib
+
+import typer
+
+# Modules of this package; the order is the one `gw bench --help` shows.
+SUBCOMMANDS: tuple[str, ...] = ("splat",)
+
+
+def register(app: typer.Typer) -> None:
+    bench = typer.Typer(help="Measure this machine.", no_args_is_help=True)
+    app.add_typer(bench, name="bench")
+
+    @bench.callback()
+    def group() -> None:
+        """Measure this machine."""
+
+    for name in SUBCOMMANDS:
+        importlib.import_module(f"gw_cli.bench.{name}").register(bench)

@@ -6,8 +6,8 @@ Reads:
     the capture: images, masks and labels of the training take.
     a file of perceptual weights (docs/formats.md), if one is given.
 Writes:
-    `<layer>.safetensors`: base attributes (N, …) f32 per texel and network weights (`LayerModel.state`).
-    `model.json`: {"layers": {name: `LayerModel.config`}}, inner to outer.
+    `<layer>.safetensors`: base attributes (N, …) f32 per texel and network weights (`TexelAttributes.state`).
+    `model.json`: {"layers": {name: `TexelAttributes.config`}}, inner to outer.
     `metrics.jsonl`: one line per few steps: losses, gradient norm, seconds by part.
     `previews/*.png`: truth | render | labels.
 """
@@ -18,14 +18,15 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
 from stages.pipeline import BAKE_MAPS, REGISTER_TEMPLATE, TRAIN
 from stages.shared.artifacts import Artifact, ExternalFiles, Progress, Workspace
 from stages.shared.artifacts.external import file_digest
 from stages.shared.artifacts.result import StageResult
+from stages.shared.avatar.decoder import new_model
 from stages.shared.avatar.maps import LayerMaps
-from stages.shared.avatar.model import LayerModel
 from stages.shared.body import BodyModel
 from stages.shared.capture import LAYERS, Capture, Take
 from stages.shared.capture.subject import open_subject_capture
@@ -36,9 +37,10 @@ from stages.shared.poses import load_poses
 from stages.shared.report import SILENT, Report
 from stages.train import checkpoint, cost
 from stages.train.checkpoint import METRICS_NAME, RunState
-from stages.train.config import TrainConfig
+from stages.train.config import METHODS, TrainConfig
 from stages.train.data import TrainingViews
 from stages.train.loop import learn
+from stages.train.method import MethodLayers, method_layers, settled
 from stages.train.trainer import Trainer
 
 
@@ -58,6 +60,7 @@ def run(
         KeyboardInterrupt: after Ctrl-C, with a checkpoint written.
     """
     config = _with_digest(config or TrainConfig(), perceptual_weights)
+    weights = settled(config).weights
     workspace = Workspace(subject)
     source = _open(workspace)
     inputs = source.inputs
@@ -67,7 +70,7 @@ def run(
         return StageResult(found, found.summary)
     report.step("read")
     perceptual = Perceptual.load(perceptual_weights) if perceptual_weights else None
-    if perceptual is None and max(config.weights.lpips, config.weights.face) > 0:
+    if perceptual is None and max(weights.lpips, weights.face) > 0:
         report.say("no perceptual weights given: the LPIPS terms are off")
     trainer = _trainer(source, config, _device(config.device), perceptual)
     with workspace.progress(TRAIN, config, inputs, force=force) as progress:
@@ -80,7 +83,10 @@ def run(
         with workspace.build(TRAIN, config, inputs, force=force) as build:
             for name, model in trainer.models.items():
                 build.write_arrays(f"{name}.safetensors", {k: v.numpy() for k, v in model.state().items()})
-            build.write_json("model.json", {"layers": {n: m.config for n, m in trainer.models.items()}})
+            for name, arrays in source.own_maps(config.method).items():
+                build.write_arrays(f"maps-{name}.safetensors", arrays)
+            models = {name: model.config for name, model in trainer.models.items()}
+            build.write_json("model.json", {"layers": models, "method": config.method})
             build.write_bytes(METRICS_NAME, (progress.path / METRICS_NAME).read_bytes())
             for picture in sorted((progress.path / "previews").glob("*.png")):
                 build.write_bytes(f"previews/{picture.name}", picture.read_bytes())
@@ -94,15 +100,15 @@ def plan(subject: Path, config: TrainConfig | None = None, perceptual_weights: P
     config = _with_digest(config or TrainConfig(), perceptual_weights)
     workspace = Workspace(subject)
     source = _open(workspace)
-    maps = source.maps()
+    maps = source.layers(config.method).maps
     weights = [str(perceptual_weights)] if perceptual_weights else []
     return Plan(
         inputs=[str(source.registered.path), str(source.baked.path), str(source.capture.root), *weights],
         outputs=[f"{workspace.root / TRAIN.name}/<key>/{name}.safetensors" for name in maps],
         config=asdict(config),
-        seconds=cost.seconds(maps, config),
-        memory_bytes=cost.memory_bytes(maps, config),
-        disk_bytes=cost.disk_bytes(maps, config),
+        seconds=cost.seconds(maps, settled(config)),
+        memory_bytes=cost.memory_bytes(maps, settled(config)),
+        disk_bytes=cost.disk_bytes(maps, settled(config)),
     )
 
 
@@ -129,6 +135,21 @@ class _Source:
         """Maps of the layers that are there, inner to outer."""
         layers = [name for name in LAYERS if name in self.baked.summary["layers"]]
         return {name: LayerMaps.load(self.baked, name) for name in layers}
+
+    def layers(self, method: str) -> MethodLayers:
+        """What a method learns, made from those maps."""
+        betas = load_poses(self.registered.file("smpl_params.npz")).betas
+        return method_layers(method, self.maps(), torch.from_numpy(betas))
+
+    def own_maps(self, method: str) -> dict[str, dict[str, np.ndarray]]:
+        """Arrays of the maps that only this method has, by layer; none for the layers of bake-maps."""
+        if method == METHODS[0]:
+            return {}
+        layers = self.layers(method)
+        found = {name: maps.arrays() for name, maps in layers.maps.items()}
+        for name, ids in layers.layer_ids.items():
+            found[name]["layer_ids"] = ids.numpy().astype(np.int32)
+        return found
 
 
 def _open(workspace: Workspace) -> _Source:
@@ -172,7 +193,7 @@ def _trainer(
 ) -> Trainer:
     body = BodyModel.from_arrays(source.registered.arrays("body.safetensors"))
     poses = load_poses(source.registered.file("smpl_params.npz"), body)
-    maps = source.maps()
+    config, maps = settled(config), source.layers(config.method).maps
     if len(poses) <= max(source.take.frames, default=0):
         raise BadData(
             f"There are {len(poses)} poses, but images up to frame {source.take.frames[-1]}.",
@@ -183,7 +204,7 @@ def _trainer(
     frames = len(views.frames(config.frame_step))
     shape = replace(config.model, anchors=min(config.model.anchors, frames))
     models = {
-        name: LayerModel(layer.to(device), shape, seed=config.seed + index).to(device)
+        name: new_model(layer.to(device), shape, frames, seed=config.seed + index).to(device)
         for index, (name, layer) in enumerate(maps.items())
     }
     return Trainer(config, models, views, device, perceptual)
@@ -192,6 +213,8 @@ def _trainer(
 def _summary(trainer: Trainer, state: RunState, progress: Progress) -> dict[str, Any]:
     lines = progress.lines(METRICS_NAME)
     return {
+        "method": trainer.config.method,
+        "without": list(trainer.config.without),
         "layers": list(trainer.models),
         "gaussians": sum(len(model.maps) for model in trainer.models.values()),
         "parameters": sum(parameter.numel() for parameter in trainer.parameters.values()),

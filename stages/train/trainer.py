@@ -13,8 +13,8 @@ import torch
 from torch import Tensor
 
 from stages.shared.avatar.compose import Composite, compose
+from stages.shared.avatar.decoder import AvatarModel
 from stages.shared.avatar.deform import PosedGaussians, pose_layer, view_cosines
-from stages.shared.avatar.model import LayerModel
 from stages.shared.avatar.pose import FramePose, frame_pose
 from stages.shared.capture import Camera
 from stages.shared.errors import BadData
@@ -63,7 +63,7 @@ class Trainer:
     def __init__(
         self,
         config: TrainConfig,
-        models: dict[str, LayerModel],
+        models: dict[str, AvatarModel],
         views: TrainingViews,
         device: torch.device,
         perceptual: Perceptual | None = None,
@@ -213,13 +213,13 @@ class _Clock:
         self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - started
 
 
-def _named_parameters(models: dict[str, LayerModel]) -> Iterator[tuple[str, torch.nn.Parameter]]:
+def _named_parameters(models: dict[str, AvatarModel]) -> Iterator[tuple[str, torch.nn.Parameter]]:
     for layer, model in models.items():
         for name, parameter in model.named_parameters():
             yield f"{layer}.{name}", parameter
 
 
-def _adam(config: TrainConfig, models: dict[str, LayerModel]) -> torch.optim.Adam:
+def _adam(config: TrainConfig, models: dict[str, AvatarModel]) -> torch.optim.Adam:
     """Adam with one group per kind of parameter."""
     groups: dict[str, list[torch.nn.Parameter]] = {}
     for name, parameter in _named_parameters(models):

@@ -10,6 +10,8 @@ class ModelConfig:
     """Shape of one layer's model; the defaults are the economical ones, `PAPER_MODEL` the published ones.
 
     Attributes:
+        decoder: "styleunet" (the published networks) or "blendshapes" (bases per texel, driven by the pose).
+        ranks: of blendshapes: numbers of bases for offsets, colours and form.
         heads: "joint" (one network, 14 channels) or "separate" (the published three: colour 3, offset 3,
             other 8).
         width: multiplier of the networks' feature widths. depth: encoder levels. style: length of the style.
@@ -27,6 +29,8 @@ class ModelConfig:
         offset_scale: metres per unit of network output. max_scale: m, ceiling of a Gaussian; 0 for none.
     """
 
+    decoder: str = "styleunet"
+    ranks: tuple[int, int, int] = (24, 8, 4)
     heads: str = "joint"
     width: float = 0.125
     depth: int = 4

@@ -8,7 +8,6 @@ the base attributes are the published constants and nothing but the networks lea
 from __future__ import annotations
 
 import math
-from dataclasses import fields
 from typing import Any
 
 import torch
@@ -19,7 +18,6 @@ from stages.shared.avatar.config import ModelConfig
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.avatar.positional import CosineMaps, PositionalMaps, network_grid
 from stages.shared.avatar.texel_attributes import TexelAttributes
-from stages.shared.errors import BadData
 from stages.shared.nets.styleunet import StyleUNet, ViewNet
 
 _USUAL_DEPARTURE = 0.05  # m, between poses, where the input is not normalised
@@ -47,7 +45,7 @@ class LayerModel(TexelAttributes):
         grid = network_grid(maps.window, config.factor, config.depth)
         self.positional = PositionalMaps(maps, grid, config.input_views)
         self.register_buffer("sample_points", _sample_points(maps, grid), persistent=False)
-        self._front = int((maps.texels[:, 0] == 0).sum())
+        self._view_counts = maps.view_counts
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             outputs = (14,) if config.heads == "joint" else (3, 3, 8)
@@ -82,22 +80,7 @@ class LayerModel(TexelAttributes):
 
         Raises BadData where they do not fit the maps.
         """
-        where = f"model of layer {maps.layer}"
-        known = {field.name for field in fields(ModelConfig)}
-        unknown = sorted(config.keys() - known - {"layer", "texels"})
-        if unknown or config.get("texels") != len(maps):
-            problem = f"unknown setting {unknown[0]!r}" if unknown else "number of texels"
-            raise BadData(f"The model does not fit its maps ({problem}).", where, "Export or train it again.")
-        model = cls(maps, ModelConfig(**{name: config[name] for name in known if name in config}))
-        expected = {name: tuple(tensor.shape) for name, tensor in model.state_dict().items()}
-        given = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
-        if expected != given:
-            name = sorted(expected.items() ^ given.items())[0][0]
-            raise BadData(
-                f"The tensor {name!r} is missing, extra or of a wrong shape.", where, "Train it again."
-            )
-        model.load_state_dict(tensors)
-        return model
+        return cls.restored(config, maps, tensors, lambda model_config: cls(maps, model_config))
 
     def fit_input(self, poses: list[Tensor]) -> None:
         """Look at the training poses, each (55, 4, 4) as in `residual`, before training starts.
@@ -157,7 +140,7 @@ class LayerModel(TexelAttributes):
 
     def _sampled(self, images: Tensor) -> Tensor:
         """Maps (2, C, h, w) of the window at every texel (N, C)."""
-        return sampled_maps(images, self.sample_points, self._front)
+        return sampled_maps(images, self.sample_points, self._view_counts)
 
     def _with_anchors(self, residual: Tensor, image: Tensor, local_transforms: Tensor) -> Tensor:
         """Add the anchors' offsets for a pose to a residual (N, 14), and fade where no anchor is near."""

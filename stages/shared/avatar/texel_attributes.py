@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from dataclasses import asdict
-from typing import Any
+from collections.abc import Callable
+from dataclasses import asdict, fields
+from typing import Any, Self
 
 import torch
 from torch import Tensor, nn
@@ -18,6 +19,7 @@ from torch.nn import functional
 from stages.shared.avatar.config import ModelConfig
 from stages.shared.avatar.deform import Attributes, unit_quaternions
 from stages.shared.avatar.maps import LayerMaps
+from stages.shared.errors import BadData
 
 CHANNELS = {"offset": (0, 3), "quaternion": (3, 7), "opacity": (7, 8), "scale": (8, 11), "color": (11, 14)}
 _MIN_SCALE = 1e-5
@@ -56,6 +58,35 @@ class TexelAttributes(nn.Module):
         return {
             name: tensor.detach().cpu().contiguous().clone() for name, tensor in self.state_dict().items()
         }
+
+    @classmethod
+    def restored(
+        cls,
+        config: dict[str, Any],
+        maps: LayerMaps,
+        tensors: dict[str, Tensor],
+        make: Callable[[ModelConfig], Self],
+    ) -> Self:
+        """What `make` makes of a configuration, with the tensors of its `state`.
+
+        Raises BadData where configuration, maps and tensors do not fit together.
+        """
+        where = f"model of layer {maps.layer}"
+        known = {field.name for field in fields(ModelConfig)}
+        unknown = sorted(config.keys() - known - {"layer", "texels"})
+        if unknown or config.get("texels") != len(maps):
+            problem = f"unknown setting {unknown[0]!r}" if unknown else "number of texels"
+            raise BadData(f"The model does not fit its maps ({problem}).", where, "Export or train it again.")
+        model = make(ModelConfig(**{name: config[name] for name in known if name in config}))
+        expected = {name: tuple(tensor.shape) for name, tensor in model.state_dict().items()}
+        given = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
+        if expected != given:
+            name = sorted(expected.items() ^ given.items())[0][0]
+            raise BadData(
+                f"The tensor {name!r} is missing, extra or of a wrong shape.", where, "Train it again."
+            )
+        model.load_state_dict(tensors)
+        return model
 
     def base_parameters(self) -> dict[str, Tensor]:
         """Free attributes by name (offset, quaternion, opacity, scale, color); empty when `base` is off."""

@@ -11,9 +11,11 @@ from torch import Tensor
 
 from stages.shared.artifacts import Artifact
 from stages.shared.artifacts.bundle import Bundle
+from stages.shared.avatar.decoder import AvatarModel, load_model
 from stages.shared.avatar.maps import LayerMaps
-from stages.shared.avatar.model import LayerModel
-from stages.shared.capture.labels import LABELS
+from stages.shared.capture.labels import LABELS, LAYERS
+
+BASELINE_LAYERS = ("clothing", "whole")  # of the baselines in stages/train/method.py, worn over a body
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,19 +37,21 @@ class WornLayer:
     """A body or a garment.
 
     Attributes:
-        name: "body", "lower", "upper" or "outer".
+        name: "body", "lower", "upper" or "outer"; of a baseline also "whole" or "clothing".
         slots: layers it takes up; () for a body.
         maps, model: as trained.
         source: digest of the training it comes from, to tell pieces that were learned together.
         beneath: of a garment, when its bundle carries it.
+        layer_ids: (N,) index into LAYERS of every texel, where a baseline's layer holds several.
     """
 
     name: str
     slots: tuple[str, ...]
     maps: LayerMaps
-    model: LayerModel
+    model: AvatarModel
     source: str = ""
     beneath: Beneath | None = None
+    layer_ids: Tensor | None = None
 
     @property
     def label(self) -> int:
@@ -83,16 +87,24 @@ def layer_of_bundle(bundle: Bundle) -> WornLayer:
 
 
 def layer_of_training(name: str, baked: Artifact, trained: Artifact) -> WornLayer:
-    """A layer of a trained subject, from its bake-maps and train artifacts."""
-    maps = LayerMaps.load(baked, name)
+    """A layer of a trained subject, from its bake-maps and train artifacts; a baseline has its own maps."""
     config = trained.json("model.json")["layers"][name]
+    ids = None
+    if trained.has(f"maps-{name}.safetensors"):
+        arrays, grid = trained.arrays(f"maps-{name}.safetensors"), baked.summary
+        maps = LayerMaps.from_arrays(name, arrays, grid["pitch"], grid["centre"], grid["grid_size"])
+        if "layer_ids" in arrays:
+            ids = torch.from_numpy(arrays["layer_ids"].astype(np.int64))
+    else:
+        maps = LayerMaps.load(baked, name)
     model = _model(config, maps, trained.arrays(f"{name}.safetensors"))
-    return WornLayer(name, () if name == "body" else (name,), maps, model, trained.digest)
+    slots = (name,) if name in LAYERS[1:] else ()
+    return WornLayer(name, slots, maps, model, trained.digest, layer_ids=ids)
 
 
-def _model(config: dict[str, Any], maps: LayerMaps, arrays: dict[str, np.ndarray]) -> LayerModel:
+def _model(config: dict[str, Any], maps: LayerMaps, arrays: dict[str, np.ndarray]) -> AvatarModel:
     tensors = {name: torch.from_numpy(np.array(array, dtype=np.float32)) for name, array in arrays.items()}
-    model = LayerModel.from_state(config, maps, tensors).eval()
+    model = load_model(config, maps, tensors).eval()
     for parameter in model.parameters():
         parameter.requires_grad_(False)
     return model

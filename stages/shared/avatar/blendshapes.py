@@ -1,0 +1,190 @@
+"""The real-time decoder: per-texel bases times a few numbers that follow from the pose.
+
+residual = mean + Σ_k c_k(pose) B_k, as pose correctives of body models are (SMPL, eq. 9), with bases of their
+own for offsets, colours, and the form (quaternion, opacity, scale). The coefficients c come from a Gaussian
+kernel between the pose and poses that were seen, so far from all of them the mean remains. What a frame costs
+is one small matrix product per layer instead of a convolutional network.
+
+A model is trained like any other (`fit_input` lays out the coefficients; the bases start at zero and are
+learned) or distilled from a trained network (`stages/distill`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from stages.shared.avatar.config import ModelConfig
+from stages.shared.avatar.maps import LayerMaps
+from stages.shared.avatar.texel_attributes import CHANNELS, TexelAttributes
+from stages.shared.errors import BadData
+
+BODY_JOINTS = 22  # without face and fingers
+GROUPS: dict[str, tuple[str, ...]] = {
+    "offset": ("offset",),
+    "color": ("color",),
+    "form": ("quaternion", "opacity", "scale"),
+}
+_MOST_CENTRES, _MOST_RANK = 4096, 256
+_LEAST_SPREAD = 1e-6
+
+
+def group_channels(group: str) -> list[int]:
+    """The residual's channels that a group of bases moves."""
+    return [channel for name in GROUPS[group] for channel in range(*CHANNELS[name])]
+
+
+@dataclass(frozen=True)
+class BlendshapeSizes:
+    """Sizes that the data decide: numbers of bases by group, and of kernel centres."""
+
+    offset: int
+    color: int
+    form: int
+    centres: int
+
+
+class PoseCoefficients(nn.Module):
+    """Numbers c(pose) (K,) = Σ_m w_mk k(pose, centre_m), k a Gaussian of the distance between poses.
+
+    A pose is described by the rotations of the 22 body joints without the root, as matrix entries.
+    """
+
+    centres: Tensor  # (M, 198) described poses
+    bandwidth: Tensor  # (1,)
+    weights: Tensor  # (M, K)
+
+    def __init__(self, centres: int, count: int) -> None:
+        super().__init__()
+        self.register_buffer("centres", torch.zeros(centres, 9 * BODY_JOINTS))
+        self.register_buffer("bandwidth", torch.ones(1))
+        self.register_buffer("weights", torch.zeros(centres, count))
+
+    def kernel(self, described: Tensor) -> Tensor:
+        """(T, 198) -> (T, M) in 0..1."""
+        return gaussian_kernel(described, self.centres, self.bandwidth)
+
+    def forward(self, local_transforms: Tensor) -> Tensor:
+        """(55, 4, 4) bone transforms without shape and root -> (K,)."""
+        return (self.kernel(describe(local_transforms)[None]) @ self.weights)[0]
+
+
+def describe(local_transforms: Tensor) -> Tensor:
+    """What tells poses apart: (198,) rotation entries of the body joints of (55, 4, 4) bone transforms."""
+    return local_transforms[:BODY_JOINTS, :3, :3].flatten()
+
+
+def gaussian_kernel(one: Tensor, other: Tensor, bandwidth: Tensor) -> Tensor:
+    """exp(−|a − b|² / 2h²) of rows: (T, F), (M, F) -> (T, M)."""
+    # The exact form of the distance: the quick one loses near poses in rounding.
+    distance = torch.cdist(one, other, compute_mode="donot_use_mm_for_euclid_dist")
+    return torch.exp(-0.5 * (distance / bandwidth).square())
+
+
+class BlendshapeModel(TexelAttributes):
+    """Gaussian attributes of one layer for any pose, by blendshapes.
+
+    Arguments:
+        maps: baked maps of the layer. config: with `decoder="blendshapes"`. sizes: numbers of bases.
+    """
+
+    mean_residual: Tensor  # (N, 14)
+    channel_order: Tensor
+
+    def __init__(self, maps: LayerMaps, config: ModelConfig, sizes: BlendshapeSizes) -> None:
+        super().__init__(maps, config)
+        self.sizes = sizes
+        self.coefficients = PoseCoefficients(sizes.centres, sizes.offset + sizes.color + sizes.form)
+        self.register_buffer("mean_residual", maps.positions.new_zeros(len(maps), 14))
+        for group in GROUPS:
+            # Texels first: the product with the coefficients then reads memory once, in order.
+            shape = (len(maps), len(group_channels(group)), getattr(sizes, group))
+            self.register_parameter(f"basis_{group}", nn.Parameter(torch.zeros(shape)))
+        order = torch.tensor([channel for group in GROUPS for channel in group_channels(group)])
+        self.register_buffer("channel_order", order.argsort(), persistent=False)
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """All that is needed beside maps and tensors to make the model again; plain JSON."""
+        sizes = {name: getattr(self.sizes, name) for name in ("offset", "color", "form", "centres")}
+        return {**super().config, "blendshapes": sizes}
+
+    @classmethod
+    def from_state(
+        cls, config: dict[str, Any], maps: LayerMaps, tensors: dict[str, Tensor]
+    ) -> BlendshapeModel:
+        """The model that `state` and `config` were taken from.
+
+        Raises BadData where they do not fit the maps, or sizes are out of bounds.
+        """
+        sizes = _checked_sizes(config.get("blendshapes"), maps.layer)
+        shape = {name: value for name, value in config.items() if name != "blendshapes"}
+        return cls.restored(shape, maps, tensors, lambda model_config: cls(maps, model_config, sizes))
+
+    def fit_input(self, poses: list[Tensor]) -> None:
+        """Lay out the coefficients over training poses, each (55, 4, 4), before the bases are learned.
+
+        Kernel principal components of the poses, each of unit variance over them: the bases that come first
+        belong to the motion that there is most of.
+        """
+        described = torch.stack([describe(pose) for pose in poses])
+        chosen = spread_out(described, min(self.sizes.centres, len(described)))
+        centres = described[chosen]
+        bandwidth = neighbour_distance(centres).clamp(min=_LEAST_SPREAD) * 2.0
+        kernel = gaussian_kernel(described, centres, bandwidth)
+        _, spread, axes = torch.linalg.svd(kernel - kernel.mean(dim=0), full_matrices=False)
+        unit = axes.T * (len(described) ** 0.5 / spread.clamp(min=_LEAST_SPREAD * spread[0].clamp(min=1e-12)))
+        self.coefficients.centres[: len(centres)] = centres
+        self.coefficients.bandwidth.copy_(bandwidth)
+        first = 0
+        for group in GROUPS:
+            count = min(getattr(self.sizes, group), unit.shape[1])
+            self.coefficients.weights[: len(centres), first : first + count] = unit[:, :count]
+            first += getattr(self.sizes, group)
+
+    def fit_mean(self, poses: list[Tensor]) -> None:
+        """Nothing is left to do after training: the kernel itself fades."""
+
+    def residual(self, local_transforms: Tensor, cosines: Tensor | None = None) -> Tensor:
+        """Pose-dependent part (N, 14); see `TexelAttributes.residual`."""
+        values = self.coefficients(local_transforms).split([getattr(self.sizes, group) for group in GROUPS])
+        parts = [getattr(self, f"basis_{group}") @ part for group, part in zip(GROUPS, values, strict=True)]
+        return self.mean_residual + torch.cat(parts, dim=1)[:, self.channel_order]
+
+
+def spread_out(described: Tensor, count: int) -> Tensor:
+    """(count,) sorted indices of rows far from one another: the first, then always the farthest from all."""
+    distance = torch.cdist(described, described, compute_mode="donot_use_mm_for_euclid_dist")
+    chosen = [0]
+    nearest = distance[0].clone()
+    while len(chosen) < count:
+        chosen.append(int(nearest.argmax()))
+        nearest = torch.minimum(nearest, distance[chosen[-1]])
+    return torch.tensor(sorted(chosen))
+
+
+def neighbour_distance(described: Tensor) -> Tensor:
+    """(1,) median distance of each row to its nearest other."""
+    distance = torch.cdist(described, described, compute_mode="donot_use_mm_for_euclid_dist")
+    distance.fill_diagonal_(float("inf"))
+    nearest = distance.min(dim=1).values
+    finite = nearest[torch.isfinite(nearest)]
+    return finite.median()[None] if len(finite) else described.new_ones(1)
+
+
+def _checked_sizes(sizes: Any, layer: str) -> BlendshapeSizes:
+    names = [field.name for field in fields(BlendshapeSizes)]
+    given = sizes if isinstance(sizes, dict) else {}
+    for name in names:
+        value = given.get(name)
+        most = _MOST_CENTRES if name == "centres" else _MOST_RANK
+        if type(value) is not int or not 0 <= value <= most:
+            raise BadData(
+                f"The number of blendshapes {name!r} is {value!r}.",
+                f"model of layer {layer}",
+                "Export or train it again.",
+            )
+    return BlendshapeSizes(**{name: given[name] for name in names})

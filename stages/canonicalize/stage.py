@@ -25,11 +25,12 @@ from scipy.spatial import cKDTree
 from stages.canonicalize.config import CanonicalizeConfig
 from stages.canonicalize.shape import add_shape, canonical_body, template_shape_directions
 from stages.canonicalize.tearing import Tears, cut_tears
-from stages.canonicalize.unpose import Unposed, forward_skin, inverse_skin, unpose
+from stages.canonicalize.unpose import Unposed, unpose
 from stages.pipeline import CANONICALIZE, REGISTER_TEMPLATE
 from stages.shared.artifacts import Artifact, Workspace
 from stages.shared.artifacts.result import StageResult
 from stages.shared.body.canonical import posed_from_canonical
+from stages.shared.body.inverse import forward_skin, inverse_skin
 from stages.shared.body.kinematics import posed_vertices
 from stages.shared.body.model import BodyModel
 from stages.shared.body.poses import Poses

@@ -15,13 +15,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 
-from stages.shared.body.kinematics import blend
+from stages.shared.body.inverse import forward_skin, inverse_skin
 
 Weights = Callable[[np.ndarray], np.ndarray]  # canonical points (N, 3) -> weights (N, J)
-
-SMALLEST_DETERMINANT = 0.2
 
 
 @dataclass(frozen=True)
@@ -89,34 +86,6 @@ def unpose(
     residual = np.linalg.norm(forward_skin(points, best_weights, transforms) - world, axis=1)
     requeried = _requery_error(points, world, transforms, weights_at)
     return Unposed(points, best_weights, residual, requeried, int(np.count_nonzero(replaced)))
-
-
-def forward_skin(points: np.ndarray, weights: np.ndarray, transforms: np.ndarray) -> np.ndarray:
-    """(Σ_j w_j M_j) x for points (V, 3), weights (V, J), transforms (J, 4, 4) -> (V, 3)."""
-    blended = _blend(weights, transforms)
-    return np.einsum("vab,vb->va", blended[:, :3, :3], points) + blended[:, :3, 3]
-
-
-def inverse_skin(
-    world: np.ndarray, weights: np.ndarray, transforms: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """(Σ_j w_j M_j)⁻¹ y; where |det| is small, Σ_j w_j M_j⁻¹ y instead.
-
-    Returns:
-        points (V, 3); replaced (V,) bool, where the second form was taken.
-    """
-    blended = _blend(weights, transforms)
-    linear, moved = blended[:, :3, :3], world - blended[:, :3, 3]
-    replaced = np.abs(np.linalg.det(linear)) < SMALLEST_DETERMINANT
-    points = np.empty_like(world)
-    points[~replaced] = np.linalg.solve(linear[~replaced], moved[~replaced][..., None])[..., 0]
-    if replaced.any():
-        points[replaced] = forward_skin(world[replaced], weights[replaced], np.linalg.inv(transforms))
-    return points, replaced
-
-
-def _blend(weights: np.ndarray, transforms: np.ndarray) -> np.ndarray:
-    return blend(torch.from_numpy(weights), torch.from_numpy(transforms)).numpy()
 
 
 def _requery_error(

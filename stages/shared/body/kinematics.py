@@ -18,9 +18,12 @@ from torch import Tensor
 
 from stages.shared.body.model import BodyModel
 from stages.shared.body.skeleton import PARENTS
+from stages.shared.finite import finite
 
 # Below this squared angle the series is exact to the last bit of float64 (next term θ⁶/5040).
 _SMALL_ANGLE_SQUARED = 1e-4
+# Beyond a turn and a bit, the angle's own rounding in float32 would show in its sine.
+_LARGE_ANGLE_SQUARED = 64.0
 
 
 def rotation_matrices(axis_angle: Tensor) -> Tensor:
@@ -34,6 +37,8 @@ def rotation_matrices(axis_angle: Tensor) -> Tensor:
     """
     x, y, z = axis_angle.unbind(-1)
     squared = (axis_angle * axis_angle).sum(-1)
+    if axis_angle.dtype != torch.float64 and bool((squared > _LARGE_ANGLE_SQUARED).any()):
+        return rotation_matrices(axis_angle.double()).to(axis_angle.dtype)
     small = squared < _SMALL_ANGLE_SQUARED
     angle = torch.sqrt(torch.where(small, torch.ones_like(squared), squared))
     half_sine = torch.sin(0.5 * angle)
@@ -45,11 +50,12 @@ def rotation_matrices(axis_angle: Tensor) -> Tensor:
     cross = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).unflatten(-1, (3, 3))
     outer = axis_angle.unsqueeze(-1) * axis_angle.unsqueeze(-2)
     identity = torch.eye(3, dtype=axis_angle.dtype, device=axis_angle.device)
-    return (
+    matrices = (
         identity * (1 - versine * squared)[..., None, None]
         + sine[..., None, None] * cross
         + versine[..., None, None] * outer
     )
+    return finite(matrices, "rotation_matrices", axis_angle=axis_angle)
 
 
 def shaped_joints(body: BodyModel, betas: Tensor, expression: Tensor | None = None) -> Tensor:
@@ -68,7 +74,7 @@ def shaped_joints(body: BodyModel, betas: Tensor, expression: Tensor | None = No
     if expression is not None and body.joint_expression_directions is not None:
         directions = constant(body.joint_expression_directions, betas)[..., : expression.shape[-1]]
         joints = joints + torch.einsum("jce,...e->...jc", directions, expression)
-    return joints
+    return finite(joints, "shaped_joints", betas=betas, expression=expression)
 
 
 def shaped_vertices(body: BodyModel, betas: Tensor, expression: Tensor | None = None) -> Tensor:
@@ -87,7 +93,7 @@ def shaped_vertices(body: BodyModel, betas: Tensor, expression: Tensor | None = 
     if expression is not None and body.expression_directions is not None:
         directions = constant(body.expression_directions, betas)[..., : expression.shape[-1]]
         vertices = vertices + torch.einsum("vce,...e->...vc", directions, expression)
-    return vertices
+    return finite(vertices, "shaped_vertices", betas=betas, expression=expression)
 
 
 def bone_transforms(
@@ -128,6 +134,7 @@ def _chain(local: Tensor, joints: Tensor, parents: tuple[int, ...], translation:
     moved = placed - _rotate(turned, joints)
     if translation is not None:
         moved = moved + translation.unsqueeze(-2)
+    moved = finite(moved, "bone_transforms", rotations=local, joints=joints, translation=translation)
     return _assemble(turned, moved)
 
 
@@ -183,7 +190,8 @@ def blend(weights: Tensor, transforms: Tensor) -> Tensor:
     Returns:
         (..., V, 4, 4).
     """
-    return (weights @ transforms.flatten(-2)).unflatten(-1, (4, 4))
+    blended = (weights @ transforms.flatten(-2)).unflatten(-1, (4, 4))
+    return finite(blended, "blend", weights=weights, transforms=transforms)
 
 
 def skin(points: Tensor, weights: Tensor, transforms: Tensor) -> Tensor:
@@ -199,13 +207,15 @@ def skin(points: Tensor, weights: Tensor, transforms: Tensor) -> Tensor:
     """
     # Three of the four rows are enough; the last one is (0, 0, 0, 1) for every affine blend.
     blended = (weights @ transforms[..., :3, :].flatten(-2)).unflatten(-1, (3, 4))
-    return _rotate(blended[..., :3], points) + blended[..., 3]
+    moved = _rotate(blended[..., :3], points) + blended[..., 3]
+    return finite(moved, "skin", points=points, weights=weights, transforms=transforms)
 
 
 def rigid_inverse(transforms: Tensor) -> Tensor:
     """Inverse of rigid transforms (..., 4, 4)."""
     turned = transforms[..., :3, :3].transpose(-1, -2)
-    return _assemble(turned, -_rotate(turned, transforms[..., :3, 3]))
+    moved = -_rotate(turned, transforms[..., :3, 3])
+    return _assemble(turned, finite(moved, "rigid_inverse", transforms=transforms))
 
 
 def _rotate(matrices: Tensor, vectors: Tensor) -> Tensor:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from stages.shared.finite import finite
+
 
 def covered_skin_loss(colors: Tensor, covered: Tensor, reference: Tensor) -> Tensor:
     """Mean of |colour − median colour of the reference texels| over covered texels.
@@ -16,7 +18,7 @@ def covered_skin_loss(colors: Tensor, covered: Tensor, reference: Tensor) -> Ten
     if not bool(covered.any()) or not bool(reference.any()):
         return colors.sum() * 0.0
     skin = colors[reference].detach().median(dim=0).values
-    return (colors[covered] - skin).abs().mean()
+    return finite((colors[covered] - skin).abs().mean(), "covered_skin_loss", colors=colors)
 
 
 def hand_texels(skin_weights: Tensor) -> Tensor:

@@ -13,6 +13,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from stages.shared.finite import finite, require_finite
+
 _SMALLEST = 32  # px; DIS needs some room for its patches
 _DEPTH_TOLERANCE = 0.03
 
@@ -26,6 +28,7 @@ def dense_flow(source: Tensor, target: Tensor, tolerance: float = 1.5) -> tuple[
     Returns:
         flow (H, W, 2) px as x, y, and (H, W) bool: where it can be trusted.
     """
+    require_finite("dense_flow", source=source, target=target)
     height, width = source.shape[:2]
     if min(height, width) < _SMALLEST:
         return torch.zeros(height, width, 2), torch.zeros(height, width, dtype=torch.bool)
@@ -51,6 +54,7 @@ def flow_loss(
 
     A Gaussian counts when it is within 3 cm of the depth seen at its pixel and the flow there is trusted.
     """
+    require_finite("flow_loss", means=means, viewmat=viewmat, intrinsics=intrinsics, depth=depth, flow=flow)
     height, width = depth.shape
     in_camera = means @ viewmat[:3, :3].T + viewmat[:3, 3]
     distance = in_camera[:, 2].clamp(min=1e-3)
@@ -65,7 +69,8 @@ def flow_loss(
         return means.sum() * 0.0
     target = here[counts] + flow.reshape(-1, 2)[index[counts]]
     metres = (pixels[counts] - target) * (distance[counts].detach() / intrinsics[0, 0])[:, None]
-    return (metres.square().sum(dim=1) + 1e-8).sqrt().mean()
+    cost = (metres.square().sum(dim=1) + 1e-8).sqrt().mean()
+    return finite(cost, "flow_loss", means=means, viewmat=viewmat, intrinsics=intrinsics, flow=flow)
 
 
 def _grey(image: Tensor) -> NDArray[np.uint8]:

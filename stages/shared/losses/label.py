@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from torch import Tensor
 
+from stages.shared.finite import finite
+
 
 def label_loss(labels: Tensor, truth: Tensor, known: Tensor, kind: str = "l1") -> Tensor:
     """Mean difference over known pixels and channels.
@@ -14,4 +16,5 @@ def label_loss(labels: Tensor, truth: Tensor, known: Tensor, kind: str = "l1") -
     """
     difference = labels - truth
     cost = difference.abs() if kind == "l1" else difference.square()
-    return (cost.sum(dim=2) * known).sum() / (known.sum().clamp(min=1.0) * max(labels.shape[2], 1))
+    mean = (cost.sum(dim=2) * known).sum() / (known.sum().clamp(min=1.0) * max(labels.shape[2], 1))
+    return finite(mean, "label_loss", labels=labels, truth=truth, known=known)

@@ -10,6 +10,8 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
+from stages.shared.finite import finite, require_finite
+
 
 def nearest_inner(outer: Tensor, inner: Tensor) -> Tensor:
     """Index (N,) int64 of the inner point (M, 3) nearest to each outer point (N, 3); M must not be 0."""
@@ -29,9 +31,11 @@ def penetration_loss(
     """
     if len(outer) == 0 or len(inner) == 0:
         return outer.sum() * 0.0
+    require_finite("penetration_loss", outer=outer, inner=inner, inner_normals=inner_normals)
     nearest = nearest_inner(outer, inner)
     anchor, normal = inner.detach()[nearest], inner_normals.detach()[nearest]
     away = outer - anchor
     height = (away * normal).sum(dim=1)
     counts = (away.detach().norm(dim=1) < reach) & (normal.square().sum(dim=1) > 0.25)
-    return ((margin - height).clamp(min=0.0).square() * counts).mean()
+    cost = ((margin - height).clamp(min=0.0).square() * counts).mean()
+    return finite(cost, "penetration_loss", outer=outer, inner=inner, inner_normals=inner_normals)

@@ -15,6 +15,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from stages.shared.errors import BadData, MissingInput
+from stages.shared.finite import finite
 
 # Convolutions of VGG-16 (index in the stack of torchvision, channels in, channels out), block by block; every
 # one is followed by a ReLU, and a block but the first begins by halving the picture.
@@ -81,7 +82,7 @@ class Perceptual:
         for layer, (found, wanted) in enumerate(zip(self._features(image), expected, strict=True)):
             head = self.tensors[f"lin{layer}.model.1.weight"].to(image.dtype)
             total = total + functional.conv2d((found - wanted).square(), head).mean()
-        return total
+        return finite(total, "lpips", image=image, truth=truth)
 
     def _features(self, image: Tensor) -> list[Tensor]:
         """Five maps (1, C, h, w) of unit-length features."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from torch import Tensor
 
+from stages.shared.finite import finite
+
 _MM2 = 1e6
 
 
@@ -17,4 +19,5 @@ def seam_loss(offsets: Tensor, colors: Tensor, seams: Tensor) -> Tensor:
         return (offsets.sum() + colors.sum()) * 0.0
     first, second = seams.unbind(dim=1)
     apart = (offsets[first] - offsets[second]).square().sum(dim=1) * _MM2
-    return (apart + (colors[first] - colors[second]).square().sum(dim=1)).mean()
+    cost = (apart + (colors[first] - colors[second]).square().sum(dim=1)).mean()
+    return finite(cost, "seam_loss", offsets=offsets, colors=colors)

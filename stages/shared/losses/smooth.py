@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from torch import Tensor
 
+from stages.shared.finite import finite
+
 _MM2 = 1e6
 
 
@@ -19,4 +21,4 @@ def smooth_loss(offsets: Tensor, neighbours: Tensor) -> Tensor:
     number = here.sum(dim=1)
     mean = (offsets[neighbours.clamp(min=0)] * here).sum(dim=1) / number.clamp(min=1.0)
     roughness = (offsets - mean).square().sum(dim=1) * (number[:, 0] > 0)
-    return roughness.mean() * _MM2
+    return finite(roughness.mean() * _MM2, "smooth_loss", offsets=offsets)

@@ -15,6 +15,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from stages.shared.finite import finite
+
 _SIZE, _SIGMA = 11, 1.5
 _C1, _C2 = 0.01**2, 0.03**2
 
@@ -30,8 +32,10 @@ def ssim(image: Tensor, truth: Tensor) -> Tensor:
     """Mean structural similarity of two images (H, W, C)."""
     truth = truth.detach()
     if image.device.type == "cpu" and image.dtype == torch.float32:
-        return _FilteredSsim.apply(image, truth)
-    return _index(*(_filtered(part) for part in _moments(image, truth)))[0].mean()
+        mean = _FilteredSsim.apply(image, truth)
+    else:
+        mean = _index(*(_filtered(part) for part in _moments(image, truth)))[0].mean()
+    return finite(mean, "ssim", image=image, truth=truth)
 
 
 def _moments(image: Tensor, truth: Tensor) -> tuple[Tensor, ...]:

@@ -9,7 +9,8 @@ from typing import Annotated, Any
 import typer
 
 from gw_cli.console import Console, command
-from gw_cli.options import Device, DryRun, Force, Json, Preset, Seed, Subject, preset_config
+from gw_cli.options import Device, DryRun, Force, Json, Preset, Seed, Subject, names, preset_config
+from stages.train.ablation import PARTS
 
 
 def register(app: typer.Typer) -> None:
@@ -33,6 +34,22 @@ def register(app: typer.Typer) -> None:
         image_scale: Annotated[
             float | None, typer.Option(min=0.05, max=1.0, help="Learn from smaller pictures; 1 is full size.")
         ] = None,
+        method: Annotated[
+            str,
+            typer.Option(
+                help="gaussian-wardrobe; or a baseline: animatable-gaussians (one layer, shape kept), layga "
+                "(body and one clothing layer on its surface; an approximation)."
+            ),
+        ] = "gaussian-wardrobe",
+        without: Annotated[
+            str,
+            typer.Option(
+                metavar="PARTS",
+                help="Ablation: leave out, with commas: "
+                + "; ".join(f"{k}, {v}" for k, v in PARTS.items())
+                + ".",
+            ),
+        ] = "",
         perceptual_weights: Annotated[
             Path | None,
             typer.Option(
@@ -51,7 +68,7 @@ def register(app: typer.Typer) -> None:
         goes on from there. Losses and times go to metrics.jsonl, previews (truth, render, labels) beside it.
         """
         from stages.train import stage
-        from stages.train.config import PRESETS
+        from stages.train.config import METHODS, PRESETS
 
         console = Console(as_json)
         chosen: dict[str, Any] = {
@@ -65,6 +82,8 @@ def register(app: typer.Typer) -> None:
             seed=seed,
             device=device,
             minutes=minutes,
+            method=method,
+            without=names(without),
             **{name: value for name, value in chosen.items() if value is not None},
         )
         if dry_run:
@@ -73,5 +92,7 @@ def register(app: typer.Typer) -> None:
         result = stage.run(subject, config, console, force=force, perceptual_weights=perceptual_weights)
         console.result(
             {"artifact": result.artifact.path, **result.summary},
-            next_command=f"gw export-garment {subject} --layer body -o body.gwg",
+            next_command=f"gw export-garment {subject} --layer body -o body.gwg"
+            if method == METHODS[0]
+            else f"gw evaluate {subject}",
         )

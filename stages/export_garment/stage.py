@@ -88,7 +88,7 @@ def run(
         raise MissingInput(
             f"This subject has no layer {config.layer!r}.",
             str(subject),
-            "Choose one of: " + ", ".join(names) + ".",
+            "Choose one of: " + ", ".join(names) + "." if names else "Train it in layers: gw train.",
         )
     report.step(f"exporting {config.layer}")
     body = BodyModel.from_arrays(source.registered.arrays("body.safetensors"))

@@ -6,6 +6,8 @@ from dataclasses import dataclass, field, replace
 
 from stages.shared.avatar.config import PAPER_MODEL, ModelConfig
 
+METHODS = ("gaussian-wardrobe", "animatable-gaussians", "layga")
+
 
 @dataclass(frozen=True)
 class LossWeights:
@@ -65,6 +67,8 @@ class TrainConfig:
         perceptual_side: px, side of the square crops that LPIPS sees. perceptual_digest: SHA-256 of the file
             of perceptual weights, empty for none; the stage fills it in.
         weights, rates, model: see there.
+        method: what is learned: "gaussian-wardrobe" (a layer per garment), or a baseline
+            (`stages/train/method.py`). without: parts left out (`stages/train/ablation.py`).
         device: auto, cpu or cuda; not part of what the result is named by.
     """
 
@@ -87,6 +91,8 @@ class TrainConfig:
     weights: LossWeights = field(default_factory=LossWeights)
     rates: LearningRates = field(default_factory=LearningRates)
     model: ModelConfig = field(default_factory=ModelConfig)
+    method: str = METHODS[0]
+    without: tuple[str, ...] = ()
     device: str = field(default="auto", metadata={"affects_result": False})
 
 

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from stages.shared.body import BodyModel, Poses, posed_vertices
-from stages.shared.capture import LAYER_OF_LABEL, NO_LABEL, Camera, Take
+from stages.shared.capture import NO_LABEL, Camera, Take
 from stages.shared.errors import MissingInput
+from stages.train.method import layer_of_label
 from stages.train.outline import mesh_outline
 
 _BACKGROUND, _UNKNOWN = 250, 255
@@ -90,9 +91,8 @@ class TrainingViews:
         self._cached_bytes = 0
         self._crops: OrderedDict[tuple[int, str], _Crop] = OrderedDict()
         self._layer_of_id = np.full(256, _UNKNOWN, dtype=np.uint8)
-        for label, layer in LAYER_OF_LABEL.items():
-            if layer in self.layers:
-                self._layer_of_id[label] = self.layers.index(layer)
+        for label, layer in layer_of_label(self.layers).items():
+            self._layer_of_id[label] = self.layers.index(layer)
 
     def frames(self, step: int) -> list[int]:
         """Every `step`-th frame that has images."""

@@ -31,7 +31,14 @@ from stages.train.data import View
 
 _OUTLINE_SCALE = 0.5
 # Which layers lie directly under which: the garment of each pair must stay outside the other.
-_PAIRS = (("body", "lower"), ("body", "upper"), ("lower", "upper"), ("upper", "outer"), ("body", "outer"))
+_PAIRS = (
+    ("body", "lower"),
+    ("body", "upper"),
+    ("lower", "upper"),
+    ("upper", "outer"),
+    ("body", "outer"),
+    ("body", "clothing"),
+)
 
 
 def camera_tensors(camera: Camera, like: Tensor) -> tuple[Tensor, Tensor]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -47,4 +47,20 @@ def compose(posed: dict[str, PosedGaussians]) -> Composite:
         features=torch.cat((colors, labels), dim=1),
         layer_ids=layer_ids,
         layers=layers,
+    )
+
+
+def relabelled(composite: Composite, layer_ids: Tensor, layers: tuple[str, ...]) -> Composite:
+    """The same Gaussians under other layers: those that their texels show, of a model with fewer layers.
+
+    `layer_ids` (N,) are indices into `layers`; layers that no Gaussian shows are left out.
+    """
+    shown = torch.unique(layer_ids)
+    ids = torch.searchsorted(shown, layer_ids)
+    labels = functional.one_hot(ids, len(shown)).to(composite.features)
+    return replace(
+        composite,
+        features=torch.cat((composite.features[:, :3], labels), dim=1),
+        layer_ids=ids,
+        layers=tuple(layers[index] for index in shown.tolist()),
     )

@@ -1,0 +1,57 @@
+"""Parts of the method that a run can leave out, `gw train --without sg,reg`; light, for the command line."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from stages.shared.errors import UsageProblem
+from stages.train.config import TrainConfig
+
+# Terms of the loss that each name switches off; sg, reg and pe are the published ablation (Gaussian Wardrobe,
+# table of the ablation: without segmentation, regularisation, penetration).
+_TERMS: dict[str, tuple[str, ...]] = {
+    "sg": ("label",),
+    "reg": ("offset", "smooth", "opacity", "seam", "covered_skin"),
+    "pe": ("penetration",),
+    "bs": ("silhouette",),
+    "ssim": ("ssim",),
+    "lpips": ("lpips", "face"),
+    "flow": ("flow",),
+}
+PARTS: dict[str, str] = {
+    "sg": "the label loss (segmentation)",
+    "reg": "what keeps Gaussians tidy: offset, smoothing, seam, body opacity, covered skin",
+    "pe": "the penetration loss between layers",
+    "bs": "the body's silhouette",
+    "ssim": "SSIM of the pictures",
+    "lpips": "LPIPS of subject and face",
+    "flow": "optical flow from render to image",
+    "coarse": "small pictures first",
+    "anchors": "free offsets of anchor poses",
+    "base": "free attributes per texel",
+}
+
+
+def ablated(config: TrainConfig) -> TrainConfig:
+    """The configuration without the parts that its `without` names; doing it twice changes nothing.
+
+    Raises:
+        UsageProblem: a name that is not one of `PARTS`.
+    """
+    for name in config.without:
+        if name not in PARTS:
+            raise UsageProblem(
+                f"There is no part {name!r} to leave out.",
+                "option --without",
+                "Choose of: " + ", ".join(PARTS) + ".",
+            )
+    off = {term: 0.0 for name in config.without for term in _TERMS.get(name, ())}
+    config = replace(config, weights=replace(config.weights, **off))
+    if "coarse" in config.without:
+        config = replace(config, coarse_until=0.0)
+    model = config.model
+    if "anchors" in config.without:
+        model = replace(model, anchors=0)
+    if "base" in config.without:
+        model = replace(model, base=False)
+    return replace(config, model=model)

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from stages.shared.avatar.maps import LayerMaps
+from stages.shared.finite import finite, require_finite
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,8 @@ class PosedGaussians:
 
 def shaped_positions(maps: LayerMaps, betas: Tensor) -> Tensor:
     """Canonical texel positions (N, 3) m of a body with shape `betas` (10,): C + Σ_b β_b d_b."""
-    return maps.positions + torch.einsum("b,nbk->nk", betas, maps.shape_directions)
+    shaped = maps.positions + torch.einsum("b,nbk->nk", betas, maps.shape_directions)
+    return finite(shaped, "shaped_positions", betas=betas)
 
 
 def blended(weights: Tensor, transforms: Tensor) -> Tensor:
@@ -80,6 +82,7 @@ def rotation_matrices(quaternions: Tensor) -> Tensor:
 def unit_quaternions(quaternions: Tensor) -> Tensor:
     """Normalise (N, 4); a (nearly) zero quaternion becomes the identity, with zero gradient, never NaN."""
     squared = quaternions.square().sum(dim=-1, keepdim=True)
+    finite(squared, "unit_quaternions", quaternions=quaternions)
     usable = squared > 1e-12
     safe = torch.where(usable, squared, torch.ones_like(squared))
     identity = quaternions.new_tensor([1.0, 0.0, 0.0, 0.0])
@@ -93,6 +96,7 @@ def estimate_normals(means: Tensor, maps: LayerMaps, fallback: Tensor) -> Tensor
     points outwards in the front view and is flipped in the back view. Texels without two consecutive
     neighbours, or with a vanishing sum, take `fallback` (N, 3), which is normalised too.
     """
+    require_finite("estimate_normals", means=means, fallback=fallback)
     here = maps.neighbours >= 0
     arms = means[maps.neighbours.clamp(min=0)] - means[:, None]  # (N, 4, 3) up, right, down, left
     arms = arms * here[:, :, None]
@@ -130,6 +134,15 @@ def pose_layer(maps: LayerMaps, attributes: Attributes, transforms: Tensor, beta
     means = moved(shaped_positions(maps, betas) + attributes.offsets, matrices)
     spread = matrices[:, :, :3] @ (rotation_matrices(attributes.quaternions) * attributes.scales[:, None, :])
     covariances = spread @ spread.transpose(1, 2)
+    finite(
+        means.sum() + covariances.sum(),
+        "pose_layer",
+        offsets=attributes.offsets,
+        quaternions=attributes.quaternions,
+        scales=attributes.scales,
+        transforms=transforms,
+        betas=betas,
+    )
     with torch.no_grad():
         carried = (matrices[:, :, :3] @ maps.normals[:, :, None]).squeeze(-1)
         normals = estimate_normals(means, maps, carried)

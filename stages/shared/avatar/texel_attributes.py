@@ -20,6 +20,7 @@ from stages.shared.avatar.config import ModelConfig
 from stages.shared.avatar.deform import Attributes, unit_quaternions
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.errors import BadData
+from stages.shared.finite import require_finite
 
 CHANNELS = {"offset": (0, 3), "quaternion": (3, 7), "opacity": (7, 8), "scale": (8, 11), "color": (11, 14)}
 _MIN_SCALE = 1e-5
@@ -150,6 +151,7 @@ def _start(maps: LayerMaps, config: ModelConfig) -> dict[str, Tensor]:
 
 def z_to(normals: Tensor) -> Tensor:
     """Unit quaternions (N, 4) wxyz that turn the z axis to `normals` (N, 3); a half turn about x for −z."""
+    require_finite("z_to", normals=normals)
     normals = functional.normalize(normals, dim=1)
     x, y, z = normals.unbind(dim=1)
     quaternion = torch.stack((1 + z, -y, x, torch.zeros_like(x)), dim=1)  # (1 + z·n, z × n)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stages.shared.errors import BadData
+from stages.shared.finite import require_finite
 
 Matrix = NDArray[np.float64]
 Box = tuple[int, int, int, int]  # left, top, right, bottom in pixels; right and bottom are outside
@@ -60,9 +61,10 @@ class Camera:
     def project(self, points: ArrayLike) -> tuple[Matrix, Matrix]:
         """Pixels (..., 2) f64 (x, y) and depths (...,) f64 along the optical axis of world points (..., 3).
 
-        Points at depth 0 or less get NaN pixels.
+        Points at depth 0 or less get NaN pixels; points that are not finite are refused (BadData).
         """
         points = np.asarray(points, dtype=np.float64)
+        require_finite("Camera.project", points=points)
         in_camera = points @ self.camera_from_world[:3, :3].T + self.camera_from_world[:3, 3]
         depth = in_camera[..., 2]
         homogeneous = in_camera @ self.intrinsics.T

@@ -13,6 +13,7 @@ from stages.shared.capture.camera import Camera
 from stages.shared.capture.labels import LABELS, NO_LABEL
 from stages.shared.capture.take import Take
 from stages.shared.errors import MissingInput
+from stages.shared.finite import finite, require_finite
 from stages.shared.meshes.raycast import RayScene
 
 Floats = NDArray[np.float32]
@@ -153,17 +154,20 @@ def project_labels(
 
 def sample_bilinear(image: NDArray[np.uint8] | Floats, pixels: NDArray[np.float64]) -> Floats:
     """Values (N, C) f32 of an image (H, W, C) at pixels (N, 2) x, y; pixel centres at integer + 0.5."""
+    require_finite("sample_bilinear", pixels=pixels)
     result = np.zeros((len(pixels), image.shape[2]), np.float32)
     for rows, columns, share in _four_pixels(pixels, image.shape[1], image.shape[0]):
         result += share[:, None] * image[rows, columns]
-    return result
+    return finite(result, "sample_bilinear", image=image)
 
 
 def _four_pixels(
     pixels: NDArray[np.float64], width: int, height: int
 ) -> list[tuple[NDArray[np.intp], NDArray[np.intp], Floats]]:
     """Rows, columns and bilinear shares of the four pixels around each of (N, 2)."""
-    x, y = pixels[:, 0] - 0.5, pixels[:, 1] - 0.5
+    # Far outside the picture, the border is all there is: no pixel number may leave the range of integers.
+    x = np.clip(pixels[:, 0] - 0.5, -2.0, width + 1.0)
+    y = np.clip(pixels[:, 1] - 0.5, -2.0, height + 1.0)
     left, top = np.floor(x).astype(np.intp), np.floor(y).astype(np.intp)
     right_share, bottom_share = x - left, y - top
     return [

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
+from stages.shared.finite import finite, require_finite
+
 _CHUNK = 32_768  # points sampled at a time: bounds memory at 8 corners x channels
 
 
@@ -62,13 +64,17 @@ class VoxelField:
         return np.moveaxis(self.values[self.rows], -1, 0)
 
     def sample(self, points: np.ndarray) -> np.ndarray:
-        """Trilinear values at points (N, 3), metres -> (N, C) float64; outside the box: its border."""
+        """Trilinear values at points (N, 3), metres -> (N, C) float64; outside the box: its border.
+
+        Raises BadData, naming array and index, for numbers that are not finite.
+        """
         points = np.asarray(points, dtype=np.float64)
+        require_finite("VoxelField.sample", points=points)
         sampled = np.empty((len(points), self.channels))
         for start in range(0, len(points), _CHUNK):
             chunk = slice(start, start + _CHUNK)
             sampled[chunk] = self._sample_chunk(points[chunk])
-        return sampled
+        return finite(sampled, "VoxelField.sample", values=self.values)
 
     def _sample_chunk(self, points: np.ndarray) -> np.ndarray:
         sizes = np.array(self.rows.shape[::-1])  # W, H, D

@@ -6,16 +6,25 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from stages.shared.finite import finite, require_finite
+
 Floats = NDArray[np.float32]
 Ints = NDArray[np.int32]
 
 
 def face_normals(vertices: NDArray, faces: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Unit normals (F, 3) and areas (F,); a face without area has normal 0."""
+    require_finite("face_normals", vertices=vertices)
     corners = np.asarray(vertices, dtype=np.float64)[faces]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    # Edges are brought near length one by a power of two, which rounds nothing, so that their products
+    # neither vanish nor overflow.
+    longest = np.maximum(np.abs(first), np.abs(second)).max(axis=1, initial=0.0)
+    power = np.frexp(longest)[1]
+    cross = np.cross(np.ldexp(first, -power[:, None]), np.ldexp(second, -power[:, None]))
     length = np.linalg.norm(cross, axis=1)
-    return cross / np.maximum(length, 1e-30)[:, None], length / 2
+    areas = np.ldexp(length / 2, 2 * power)
+    return cross / np.maximum(length, 1e-30)[:, None], finite(areas, "face_normals", vertices=vertices)
 
 
 def vertex_normals(vertices: NDArray, faces: NDArray) -> Floats:

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from stages.shared.avatar.deform import Attributes
 from stages.shared.avatar.maps import LayerMaps
+from stages.shared.finite import require_finite
 from stages.shared.outfit.coverage import FEATHER, covered_weights, same_grid
 from stages.shared.outfit.layer import WornLayer
 
@@ -75,6 +76,7 @@ def swapped(attributes: Attributes, swaps: list[Swap]) -> Attributes:
 
 def slerp(start: Tensor, end: Tensor, weights: Tensor) -> Tensor:
     """Spherical interpolation of unit quaternions (N, 4) along the shorter arc; weights (N, 1) 0..1."""
+    require_finite("slerp", start=start, end=end, weights=weights)
     cosine = (start * end).sum(dim=1, keepdim=True)
     end = torch.where(cosine < 0, -end, end)
     angle = torch.acos(cosine.abs().clamp(max=1.0))

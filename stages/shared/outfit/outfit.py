@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 
 from stages.shared.artifacts import Artifact
 from stages.shared.artifacts.bundle import Bundle
-from stages.shared.avatar.compose import Composite, compose
+from stages.shared.avatar.compose import Composite, compose, relabelled
 from stages.shared.avatar.deform import PosedGaussians, pose_layer
 from stages.shared.avatar.pose import frame_pose
 from stages.shared.body import BodyModel, Poses
 from stages.shared.capture.labels import LAYERS
 from stages.shared.errors import BadData, UsageProblem
-from stages.shared.outfit.layer import WornLayer, layer_of_bundle, layer_of_training
+from stages.shared.outfit.layer import BASELINE_LAYERS, WornLayer, layer_of_bundle, layer_of_training
+from stages.shared.outfit.push import Push, plan_pushes
 from stages.shared.outfit.swap import Swap, plan_swap, swapped
 
 
@@ -30,12 +31,14 @@ class Outfit:
         betas: (10,) f32 shape of the wearer, β*.
         layers: inner to outer, body first.
         swaps: changes of the body's form beneath garments of other people.
+        pushes: displacements of garments of other people out of the body.
     """
 
     body_model: BodyModel
     betas: NDArray[np.float32]
     layers: tuple[WornLayer, ...]
     swaps: tuple[Swap, ...] = ()
+    pushes: tuple[Push, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -57,20 +60,35 @@ class Outfit:
             torch.from_numpy(self.betas),
         )
         posed = {}
+        pushed = {push.garment: push.displacement for push in self.pushes}
         for layer in self.layers:
             attributes = layer.model(pose.local_transforms)
             if layer.name == "body":
                 attributes = swapped(attributes, list(self.swaps))
+            elif layer.name in pushed:
+                attributes = replace(attributes, offsets=attributes.offsets + pushed[layer.name])
             posed[layer.name] = pose_layer(layer.maps, attributes, pose.transforms, pose.betas)
         return posed
 
     def composite(self, poses: Poses, frame: int) -> Composite:
-        """All Gaussians together, in the pose of a row of `poses`."""
-        return compose(self.posed(poses, frame))
+        """All Gaussians together, in the pose of a row of `poses`; layers are those the labels know."""
+        composite = compose(self.posed(poses, frame))
+        if all(layer.layer_ids is None for layer in self.layers):
+            return composite
+        ids = [
+            torch.full((len(layer.maps),), LAYERS.index(layer.name))
+            if layer.layer_ids is None
+            else layer.layer_ids
+            for layer in self.layers
+        ]
+        return relabelled(composite, torch.cat(ids), LAYERS)
 
 
 def outfit_of_bundles(
-    named: Sequence[tuple[str, Bundle]], betas: NDArray[np.float32] | None = None, swap: bool = True
+    named: Sequence[tuple[str, Bundle]],
+    betas: NDArray[np.float32] | None = None,
+    swap: bool = True,
+    push: bool = False,
 ) -> Outfit:
     """Dress a body bundle in garment bundles.
 
@@ -78,6 +96,7 @@ def outfit_of_bundles(
         named: (name for messages, bundle), in any order: the layers decide which lies over which.
         betas: (10,) shape of the wearer; the body bundle's own when None.
         swap: take the form of garment sources beneath their garments.
+        push: move garments of other people out of the body where it is larger than their source's.
 
     Raises:
         UsageProblem: no body, two bodies, two garments for one slot. BadData: made for another body model.
@@ -96,12 +115,13 @@ def outfit_of_bundles(
     ordered = sorted(garments, key=lambda item: LAYERS.index(item[1].layer))
     layers = tuple(layer_of_bundle(bundle) for _, bundle in [(body_name, body), *ordered])
     swaps = [plan_swap(layers[0], layer) for layer in layers[1:]] if swap else []
-    shape = body.arrays["betas"] if betas is None else betas
+    shape = np.asarray(body.arrays["betas"] if betas is None else betas, dtype=np.float32)
     return Outfit(
         BodyModel.from_arrays(body.group("body"), body_name),
-        np.asarray(shape, dtype=np.float32),
+        shape,
         layers,
         tuple(change for change in swaps if change is not None),
+        plan_pushes(layers, torch.from_numpy(shape)) if push else (),
     )
 
 
@@ -111,7 +131,7 @@ def outfit_of_training(registered: Artifact, baked: Artifact, trained: Artifact)
 
     body = BodyModel.from_arrays(registered.arrays("body.safetensors"))
     poses = load_poses(registered.file("smpl_params.npz"), body)
-    names = [name for name in LAYERS if name in trained.json("model.json")["layers"]]
+    names = [name for name in (*LAYERS, *BASELINE_LAYERS) if name in trained.json("model.json")["layers"]]
     return Outfit(body, poses.betas, tuple(layer_of_training(name, baked, trained) for name in names))
 
 

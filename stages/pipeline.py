@@ -9,8 +9,10 @@ CANONICALIZE = StageSpec("canonicalize", "gw canonicalize SUBJECT", ("register-t
 SEGMENT_LAYERS = StageSpec(
     "segment-layers", "gw segment-layers SUBJECT", ("register-template", "canonicalize")
 )
-BAKE_MAPS = StageSpec("bake-maps", "gw bake-maps SUBJECT", ("canonicalize", "segment-layers"))
+BAKE_MAPS = StageSpec("bake-maps", "gw bake-maps SUBJECT", ("canonicalize", "segment-layers"), code_version=2)
 TRAIN = StageSpec("train", "gw train SUBJECT", ("register-template", "bake-maps"))
+DISTILL = StageSpec("distill", "gw distill SUBJECT", ("register-template", "bake-maps", "train"))
 
 PIPELINE: tuple[StageSpec, ...] = (REGISTER_TEMPLATE, CANONICALIZE, SEGMENT_LAYERS, BAKE_MAPS, TRAIN)
-BY_NAME = {spec.name: spec for spec in PIPELINE}
+OPTIONAL: tuple[StageSpec, ...] = (DISTILL,)
+BY_NAME = {spec.name: spec for spec in PIPELINE + OPTIONAL}

@@ -12,6 +12,9 @@ class BakeMapsConfig:
     Attributes:
         pitch: metres per texel of the grid that all layers and subjects share.
         extent_m: side of the square grid; everything must fit.
+        unseen_limit: share of a layer's surface that its maps may miss before hidden surfaces get sheets of
+            their own.
+        most_sheets: at most this many of those, from front and from back.
         depth_jump_m: neighbouring texels further apart in depth than this are not linked.
         seam_reach_m: a front and a back texel further apart than this do not meet across the silhouette.
         sigma_per_spacing: initial standard deviation of a Gaussian per distance to the next.
@@ -21,6 +24,8 @@ class BakeMapsConfig:
 
     pitch: float = 0.0065
     extent_m: float = 2.0
+    unseen_limit: float = 0.01
+    most_sheets: int = 4
     depth_jump_m: float = 0.03
     seam_reach_m: float = 0.12
     sigma_per_spacing: float = 0.6

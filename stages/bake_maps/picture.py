@@ -1,4 +1,4 @@
-"""The maps as a picture: colours above, normals below, each from front and back; one column per layer."""
+"""The maps as a picture: colours above, normals below; front, back, peeled sheets; a column per layer."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ def maps_picture(layers: list[tuple[Texels, np.ndarray, np.ndarray]]) -> np.ndar
 
 
 def _image(texels: Texels, values: np.ndarray) -> np.ndarray:
-    """(height, 2 width, 3) u8: front, then back, of values (N, 3) 0..1 on white."""
+    """(height, views · width, 3) u8: front, back, peeled sheets, of values (N, 3) 0..1 on white."""
     row0, column0, height, width = texels.window
-    image = np.full((2, height, width, 3), 255, np.uint8)
+    image = np.full((texels.views, height, width, 3), 255, np.uint8)
     view, row, column = texels.texels.T
     image[view, row - row0, column - column0] = np.rint(255 * np.clip(values, 0, 1))
     return np.concatenate(list(image), axis=1)

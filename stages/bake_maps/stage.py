@@ -6,12 +6,14 @@ Reads:
     segment-layers      <layer>.safetensors
     capture             images, masks and label images of the template's frame, training cameras
 Writes:
-    <layer>.safetensors texels (N,3) i32 view 0 front / 1 back, row, column on the grid, in that order;
+    <layer>.safetensors texels (N,3) i32 view, row, column on the grid, in that order: view 0 is met first
+                        from the front, 1 from the back; 2, 4, … are peeled off below and face the front,
+                        3, 5, … the back;
                         window (4,) i32 row0, column0, height, width;
                         positions (N,3) f32 m canonical zero-shape; normals (N,3) f32 unit, canonical;
                         skin_weights (N,55) f32; shape_directions (N,10,3) f32 m per unit of shape, canonical;
-                        neighbours (N,4) i32 up right down left in the same view, −1 none or a depth jump;
-                        seams (S,2) i32 front and back texels that meet across the silhouette;
+                        neighbours (N,4) i32 up right down left facing the same side, −1 none or a depth
+                        jump; seams (S,2) i32 texels facing front and back that meet where the surface turns;
                         spacing (N,) f32 m initial standard deviation of a Gaussian;
                         colors (N,3) f32 sRGB 0..1; color_confidence (N,) f32, 0 where filled;
                         labels (N,) u8
@@ -31,7 +33,7 @@ from stages.bake_maps.grid import Grid
 from stages.bake_maps.links import initial_sigma, neighbour_texels, seam_pairs, texel_numbers
 from stages.bake_maps.picture import maps_picture
 from stages.bake_maps.texels import Texels, cast_texels
-from stages.bake_maps.unseen import unseen_share
+from stages.bake_maps.unseen import unseen_shares
 from stages.pipeline import BAKE_MAPS, CANONICALIZE, REGISTER_TEMPLATE, SEGMENT_LAYERS
 from stages.shared.artifacts import Artifact, ExternalFiles, Workspace
 from stages.shared.artifacts.result import StageResult
@@ -51,7 +53,7 @@ _ABOUT = {
     "skin_weights": "rows sum to 1 (N,55)",
     "shape_directions": "m per unit of shape, canonical (N,10,3)",
     "neighbours": "texel up, right, down, left; -1 none (N,4)",
-    "seams": "front texel, back texel (S,2)",
+    "seams": "texel facing front, texel facing back (S,2)",
     "spacing": "m, initial standard deviation (N,)",
     "colors": "sRGB 0..1 (N,3)",
     "color_confidence": "cosine of the best view, 0 where filled (N,)",
@@ -90,20 +92,21 @@ def run(
         baked, unseen = {}, {}
         for name, mesh in meshes.items():
             report.step(f"baking {name}")
-            texels = cast_texels(mesh["vertices"], mesh["faces"], grid, name)
+            unseen[name] = unseen_shares(mesh["vertices"], mesh["faces"])
+            sheets = sheets_needed(unseen[name], config)
+            texels = cast_texels(mesh["vertices"], mesh["faces"], grid, name, sheets)
             if not len(texels.texels):
                 raise _empty(name)
             maps = bake_layer(mesh, texels, grid, config)
             add_texel_colors(maps, mesh, texels, everything, take, frame)
-            unseen[name] = unseen_share(mesh["vertices"], mesh["faces"])
             build.write_arrays(name, maps, _ABOUT)
             baked[name] = (texels, maps["colors"], maps["normals"])
         build.write_picture("preview.png", maps_picture(list(baked.values())))
         build.summary(**_summary(grid, {name: part[0] for name, part in baked.items()}, unseen))
     summary = build.artifact.summary
     for name, share in summary["unseen_area"].items():
-        if share > 0.01:
-            report.warn(f"{100 * share:.1f} % of the surface of {name} is hidden from both views")
+        if share > config.unseen_limit:
+            report.warn(f"{100 * share:.1f} % of the surface of {name} is on no map")
     return StageResult(build.artifact, summary)
 
 
@@ -122,6 +125,12 @@ def plan(subject: Path, config: BakeMapsConfig = BakeMapsConfig()) -> Plan:
     )
 
 
+def sheets_needed(unseen: np.ndarray, config: BakeMapsConfig) -> int:
+    """Fewest peeled sheets a side that leave no more unseen than allowed, from shares (0, 1, … sheets)."""
+    enough = np.flatnonzero(unseen <= config.unseen_limit)
+    return min(int(enough[0]) if len(enough) else len(unseen) - 1, config.most_sheets)
+
+
 def bake_layer(mesh: Mesh, texels: Texels, grid: Grid, config: BakeMapsConfig) -> Mesh:
     """Arrays of one layer's texels, colours interpolated from the mesh.
 
@@ -132,7 +141,7 @@ def bake_layer(mesh: Mesh, texels: Texels, grid: Grid, config: BakeMapsConfig) -
     positions = texels.interpolate(faces, mesh["vertices"])
     normals = texels.outward(mesh["vertices"], faces, mesh["vertices"])
     weights = np.maximum(texels.interpolate(faces, mesh["skin_weights"]), 0.0)
-    numbers = texel_numbers(texels.texels, texels.window)
+    numbers = texel_numbers(texels.texels, texels.window, texels.views)
     jump = max(config.depth_jump_m, 3.0 * grid.pitch)
     neighbours = neighbour_texels(numbers, texels.texels, texels.window, positions[:, 2], jump)
     corner = faces[texels.face, texels.barycentric.argmax(axis=1)]
@@ -144,7 +153,7 @@ def bake_layer(mesh: Mesh, texels: Texels, grid: Grid, config: BakeMapsConfig) -
         "skin_weights": (weights / weights.sum(axis=1, keepdims=True)).astype(np.float32),
         "shape_directions": texels.interpolate(faces, mesh["shape_directions"]).astype(np.float32),
         "neighbours": neighbours,
-        "seams": seam_pairs(numbers, neighbours, positions, normals, config.seam_reach_m),
+        "seams": seam_pairs(numbers, neighbours, positions, normals, config.seam_reach_m, jump),
         "spacing": initial_sigma(
             normals, grid.pitch, config.sigma_per_spacing, config.largest_stretch
         ).astype(np.float32),
@@ -190,14 +199,21 @@ def _empty(layer: str) -> BadData:
     )
 
 
-def _summary(grid: Grid, texels: dict[str, Texels], unseen: dict[str, float]) -> dict[str, Any]:
-    window = {name: part.window[2] * part.window[3] for name, part in texels.items()}
+def _summary(grid: Grid, texels: dict[str, Texels], unseen: dict[str, np.ndarray]) -> dict[str, Any]:
+    windows = {name: part.window[2] * part.window[3] for name, part in texels.items()}
+    count = sum(len(part.texels) for part in texels.values())
+    sheets = {name: part.views // 2 - 1 for name, part in texels.items()}
     return {
         "layers": list(texels),
         "pitch": grid.pitch,
         "centre": [float(value) for value in grid.centre],
         "grid_size": grid.size,
         "texels": {name: len(part.texels) for name, part in texels.items()},
-        "window_share": {name: area / grid.size**2 for name, area in window.items()},
-        "unseen_area": unseen,
+        "peeled_sheets": sheets,
+        "unseen_area_two_views": {name: float(shares[0]) for name, shares in unseen.items()},
+        "unseen_area": {name: float(unseen[name][number]) for name, number in sheets.items()},
+        "window_share": {name: area / grid.size**2 for name, area in windows.items()},
+        # Of front and back maps of the whole grid for every layer: what the networks compute, what is stored.
+        "windows_of_full_maps": sum(windows.values()) / (len(texels) * grid.size**2),
+        "texels_of_full_maps": count / (2 * len(texels) * grid.size**2),
     }

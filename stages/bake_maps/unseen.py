@@ -1,36 +1,67 @@
-"""How much of a layer's surface the two views miss."""
+"""How much of a layer's surface its maps miss."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from stages.bake_maps.peel import MOST_SHEETS, hidden_hits
 from stages.shared.meshes.raycast import RayScene
 from stages.shared.meshes.topology import face_normals
 
 _LIFT = 2e-4  # metres: rays start this far off the surface
+_SAME = 1e-3  # metres along z: a hit this near to a point is that point
 _DIRECTIONS = 24
 
 
-def unseen_share(vertices: np.ndarray, faces: np.ndarray, samples: int = 20_000) -> float:
-    """Share of the outwardly visible area that neither the front nor the back view sees (0 to 1).
+class Exposure:
+    """Whether surface points can be seen from anywhere outside: a ray from either side escapes in one of some
+    directions. Leaves out what is enclosed, such as the scalp under the hair."""
 
-    Points are spread over the faces by area (the same ones every time). A point counts as outwardly visible
-    when a ray from either side of it escapes in at least one of some directions, which leaves out what is
-    enclosed, such as the scalp under the hair; it is seen when a ray along +z or −z escapes.
+    def __init__(self, scene: RayScene) -> None:
+        self._scene = scene
+
+    def __call__(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+        """(N,) bool for points (N, 3) on the surface and unit normals (N, 3) of their faces."""
+        exposed = np.zeros(len(points), dtype=bool)
+        for direction in sphere_directions(_DIRECTIONS):
+            open_rows = np.flatnonzero(~exposed)
+            if not len(open_rows):
+                break
+            exposed[open_rows] = _escapes(self._scene, points[open_rows], normals[open_rows], direction)
+        return exposed
+
+
+def unseen_shares(vertices: np.ndarray, faces: np.ndarray, samples: int = 20_000) -> np.ndarray:
+    """(MOST_SHEETS + 1,) shares (0 to 1) of the exposed area that no view sees, with 0, 1, … peeled sheets.
+
+    Points are spread over the faces by area (the same ones every time). A point is seen without peeling when
+    a ray along +z or −z escapes from it, and with k sheets also when it is among the first k hidden
+    surfaces that face its side. Points that are not exposed (`Exposure`) do not count.
     """
     points, normals = surface_points(vertices, faces, samples)
+    shares = np.zeros(MOST_SHEETS + 1)
     if not len(points):
-        return 0.0
+        return shares
     scene = RayScene(vertices, faces)
     seen = np.zeros(len(points), dtype=bool)
     for direction in np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]):
         seen |= _escapes(scene, points, normals, direction)
-    open_rows = np.flatnonzero(~seen)
-    exposed = np.zeros(len(open_rows), dtype=bool)
-    for direction in sphere_directions(_DIRECTIONS):
-        exposed |= _escapes(scene, points[open_rows], normals[open_rows], direction)
-    unseen = int(np.count_nonzero(exposed))
-    return unseen / (unseen + int(np.count_nonzero(seen)))
+    rest = np.flatnonzero(~seen)
+    rest = rest[Exposure(scene)(points[rest], normals[rest])]
+    sheet = _sheets_of(scene, points[rest])
+    total = len(rest) + int(np.count_nonzero(seen))
+    for sheets in range(MOST_SHEETS + 1):
+        shares[sheets] = np.count_nonzero(sheet > sheets) / max(total, 1)
+    return shares
+
+
+def _sheets_of(scene: RayScene, points: np.ndarray) -> np.ndarray:
+    """(N,) on which peeled sheet each hidden point (N, 3) lies; beyond all of them where on none."""
+    hidden = hidden_hits(scene, points[:, :2], Exposure(scene))
+    sheet = np.full(len(points), MOST_SHEETS + 1)
+    here = np.abs(hidden.depth - points[hidden.ray, 2]) < _SAME
+    np.minimum.at(sheet, hidden.ray[here], hidden.sheet[here])
+    return sheet
 
 
 def surface_points(vertices: np.ndarray, faces: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -59,7 +59,7 @@ def _forged(good: Bundle, arrays: dict[str, np.ndarray], manifest: dict[str, Any
         array = np.ascontiguousarray(array)
         mark = f"{array.dtype.newbyteorder('<').str} {list(array.shape)} ".encode()
         tensors[name] = {"sha256": digest(mark + array.tobytes())}
-    schema = {"name": "gwg", "major": 1, "minor": 0}
+    schema = {"name": "gwg", "major": 1, "minor": 1}
     text = canonical_json({"schema": schema, **manifest, "tensors": tensors})
     return b"".join(encode_arrays(arrays, "forged", {"gwg": text.decode(), "gwg_sha256": digest(text)}))
 
@@ -177,7 +177,7 @@ def test_manifests_that_lie_though_sealed(case: str, good: Bundle, tmp_path: Pat
     MANIFEST_LIES[case](manifest)
     what = _refused(_forged(good, good.arrays, manifest), tmp_path / "x.gwg")
     if case == "newer major":
-        assert "2.0" in what and "1.0" in what
+        assert "2.0" in what and "1.1" in what
 
 
 ArrayChange = Callable[[np.ndarray], np.ndarray]

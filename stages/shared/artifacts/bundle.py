@@ -24,7 +24,7 @@ from stages.shared.artifacts.canonical import canonical_json, digest, plain, str
 from stages.shared.artifacts.files import write_whole
 from stages.shared.errors import BadData, MissingInput, StorageFailure
 
-SCHEMA = {"name": "gwg", "major": 1, "minor": 0}
+SCHEMA = {"name": "gwg", "major": 1, "minor": 1}
 MAX_FILE_BYTES = 512 << 20
 MAX_HEADER_BYTES = 1 << 20
 MAX_TENSORS = 1024  # three full-size networks have 666

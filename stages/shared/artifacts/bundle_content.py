@@ -11,8 +11,8 @@ Manifest:
     training        configuration and scores, as trained
     note            a text
 Arrays (N texels):
-    maps/texels (N,3) i32 view, row, column · maps/window (4,) i32 · maps/neighbours (N,4) i32
-    maps/seams (S,2) i32
+    maps/texels (N,3) i32 view (even front, odd back), row, column · maps/window (4,) i32
+    maps/neighbours (N,4) i32 · maps/seams (S,2) i32
     maps/positions, maps/normals (N,3) f32 · maps/skin_weights (N,55) f32 · maps/shape_directions (N,10,3) f32
     maps/spacing, maps/color_confidence (N,) f32 · maps/colors (N,3) f32
     model/…         the model's tensors
@@ -37,6 +37,7 @@ JOINTS = 55
 BETAS = 10
 MAX_TEXELS = 2_000_000
 MAX_GRID = 4096
+MAX_VIEWS = 32  # front and back, and sheets peeled off below them
 _BOX = 2.0  # metres: no canonical point is farther from the origin along an axis
 _LARGEST_PREVIEW = 2048
 
@@ -143,7 +144,7 @@ def _check_maps(grid_size: int, arrays: Arrays, where: str) -> None:
     if min(row, column) < 0 or min(height, width) < 1 or max(row + height, column + width) > grid_size:
         raise _bad("the window lies outside the grid", where, "maps/window")
     texels = arrays["maps/texels"]
-    low, high = np.array([0, row, column]), np.array([2, row + height, column + width])
+    low, high = np.array([0, row, column]), np.array([MAX_VIEWS, row + height, column + width])
     if (texels < low).any() or (texels >= high).any():
         raise _bad("a texel lies outside the window", where, "maps/texels")
     numbers = (texels[:, 0].astype(np.int64) * grid_size + texels[:, 1]) * grid_size + texels[:, 2]
@@ -206,7 +207,7 @@ def _check_swap(manifest: dict[str, Any], arrays: Arrays, where: str) -> None:
     _expect("swap/quaternions", arrays, (count, 4), "f", where)
     if not count:
         return
-    if texels.min() < 0 or texels.max() >= size or texels[:, 0].max() > 1:
+    if texels.min() < 0 or texels.max() >= size or texels[:, 0].max() >= MAX_VIEWS:
         raise _bad("a texel lies outside the grid", where, "swap/texels")
     if np.abs(arrays["swap/offsets"]).max() > 1:
         raise _bad("an offset is longer than a metre", where, "swap/offsets")

@@ -69,18 +69,19 @@ class AnchorOffsets(nn.Module):
         return blend.view(2, channels // 2, height, width)
 
 
-def sampled_maps(images: Tensor, points: Tensor, front: int) -> Tensor:
-    """Maps (2, C, h, w) at every texel (N, C), bilinear.
+def sampled_maps(images: Tensor, points: Tensor, view_counts: list[int]) -> Tensor:
+    """Maps (2, C, h, w), front and back, at every texel (N, C), bilinear.
 
     Arguments:
-        points: (N, 2) x, y in −1..1 from edge to edge; the first `front` of them on the front map.
+        points: (N, 2) x, y in −1..1 from edge to edge. view_counts: how many of them, in order, belong to
+            each view; the sheets of one side share that side's map.
     """
     parts = []
-    for view, part in enumerate((points[:front], points[front:])):
+    for view, part in enumerate(points.split(view_counts)):
         if len(part) == 0:
             continue
         found = functional.grid_sample(
-            images[view : view + 1],
+            images[view % 2 : view % 2 + 1],
             part[None, None],
             mode="bilinear",
             padding_mode="border",

@@ -93,8 +93,8 @@ def estimate_normals(means: Tensor, maps: LayerMaps, fallback: Tensor) -> Tensor
     """Unit normals (N, 3) of posed texels from their map neighbours.
 
     Sum of the cross products of consecutive neighbour arms (right×up, up×left, left×down, down×right), which
-    points outwards in the front view and is flipped in the back view. Texels without two consecutive
-    neighbours, or with a vanishing sum, take `fallback` (N, 3), which is normalised too.
+    points outwards where texels face the front and is flipped where they face the back. Texels without two
+    consecutive neighbours, or with a vanishing sum, take `fallback` (N, 3), which is normalised too.
     """
     require_finite("estimate_normals", means=means, fallback=fallback)
     here = maps.neighbours >= 0
@@ -103,7 +103,7 @@ def estimate_normals(means: Tensor, maps: LayerMaps, fallback: Tensor) -> Tensor
     total = torch.zeros_like(means)
     for first, second in ((1, 0), (0, 3), (3, 2), (2, 1)):
         total = total + torch.linalg.cross(arms[:, first], arms[:, second])
-    sign = 1.0 - 2.0 * maps.texels[:, :1].to(means.dtype)
+    sign = 1.0 - 2.0 * maps.side[:, None].to(means.dtype)
     total = total * sign
     good = total.square().sum(dim=1, keepdim=True) > 1e-18
     chosen = torch.where(good, total, fallback)

@@ -1,7 +1,9 @@
 """Baked maps of one layer as tensors: which texels there are, and what each knows of the canonical layer.
 
 A texel is one map pixel with a surface point behind it; it carries one Gaussian. Texels live on a window of a
-global square grid that all layers and subjects share, once per view (0 front, 1 back).
+global square grid that all layers and subjects share. Views: 0 front and 1 back are what is met first from
+either side; a layer with more to show has further sheets, peeled off below: 2 front and 3 back, and so on.
+Even views face the front, odd ones the back.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from torch import Tensor
 
 from stages.shared.errors import BadData
 
+MAX_VIEWS = 32
 _FLOATS = {
     "positions": (3,),
     "normals": (3,),
@@ -41,8 +44,9 @@ class LayerMaps:
         normals: (N, 3) canonical.
         skin_weights: (N, 55), rows sum to 1.
         shape_directions: (N, 10, 3) m per unit of shape, canonical.
-        neighbours: (N, 4) int64 texel above, right, below, left in the same view; −1 where there is none.
-        seams: (S, 2) int64 pairs of texels that meet across the silhouette, front to back.
+        neighbours: (N, 4) int64 texel above, right, below, left on a sheet of the same side; −1 where there
+            is none.
+        seams: (S, 2) int64 pairs of texels that meet where the surface turns, one facing front, one back.
         spacing: (N,) m, initial standard deviation of a Gaussian, from the surface sampling density.
         colors: (N, 3) sRGB 0..1 projected from the images.
         color_confidence: (N,) 0 where no image saw the texel.
@@ -111,20 +115,36 @@ class LayerMaps:
         return replace(self, **moved)
 
     @property
+    def views(self) -> int:
+        """Number of views: 2, or more with peeled sheets; always even."""
+        last = int(self.texels[-1, 0]) if len(self) else 0
+        return 2 * (last // 2 + 1)
+
+    @property
+    def side(self) -> Tensor:
+        """(N,) int64: 0 where a texel faces the front, 1 the back, whatever its sheet."""
+        return self.texels[:, 0] % 2
+
+    @property
+    def view_counts(self) -> list[int]:
+        """Texels of each view, in order."""
+        return torch.bincount(self.texels[:, 0], minlength=self.views).tolist()
+
+    @property
     def window_texels(self) -> tuple[Tensor, Tensor, Tensor]:
         """View, row and column inside the window of every texel, each (N,) int64."""
         view, row, column = self.texels.unbind(dim=1)
         return view, row - self.window[0], column - self.window[1]
 
     def to_image(self, values: Tensor) -> Tensor:
-        """Per-texel values (N, C) -> window images (2, C, height, width), zero where there is no texel."""
+        """Per-texel values (N, C) -> images (views, C, height, width) of the window, zero without texel."""
         view, row, column = self.window_texels
-        image = values.new_zeros(2, self.window[2], self.window[3], values.shape[1])
+        image = values.new_zeros(self.views, self.window[2], self.window[3], values.shape[1])
         image[view, row, column] = values
         return image.permute(0, 3, 1, 2)
 
     def from_image(self, image: Tensor) -> Tensor:
-        """Window images (2, C, height, width) -> per-texel values (N, C)."""
+        """Window images (views, C, height, width) -> per-texel values (N, C)."""
         view, row, column = self.window_texels
         return image.permute(0, 2, 3, 1)[view, row, column]
 
@@ -134,11 +154,16 @@ class LayerMaps:
         return (view * self.grid_size + row) * self.grid_size + column
 
     def covered_by(self, others: list[LayerMaps]) -> Tensor:
-        """(N,) bool: texels whose map pixel also belongs to one of the `others`."""
+        """(N,) bool: texels whose map pixel also belongs, on the same side, to one of the `others`."""
         covered = torch.zeros(len(self), dtype=torch.bool, device=self.texels.device)
         for other in others:
-            covered |= torch.isin(self.pixel_ids(), other.pixel_ids())
+            covered |= torch.isin(self._side_ids(), other._side_ids())
         return covered
+
+    def _side_ids(self) -> Tensor:
+        """(N,) int64, one number per side and pixel of the global grid, the same for all sheets."""
+        _, row, column = self.texels.unbind(dim=1)
+        return (self.side * self.grid_size + row) * self.grid_size + column
 
 
 def _check(arrays: dict[str, np.ndarray], grid_size: int, where: str) -> None:
@@ -158,11 +183,11 @@ def _check(arrays: dict[str, np.ndarray], grid_size: int, where: str) -> None:
         raise _broken("window or seams has a wrong shape.", where)
     row0, col0, height, width = (int(value) for value in arrays["window"])
     low = np.array([0, row0, col0])
-    high = np.array([2, row0 + height, col0 + width])
+    high = np.array([MAX_VIEWS, row0 + height, col0 + width])
     texels = arrays["texels"]
     inside = min(row0, col0) >= 0 and max(row0 + height, col0 + width) <= grid_size <= 1 << 15
     if (np.diff(texels[:, 0]) < 0).any():
-        raise _broken("Texels of the back stand before texels of the front.", where)
+        raise _broken("Texels of a later view stand before texels of an earlier one.", where)
     if not inside or min(height, width) < 0 or (texels < low).any() or (texels >= high).any():
         raise _broken("A texel lies outside the window, or the window outside the grid.", where)
     neighbours, seams = arrays["neighbours"], arrays["seams"]

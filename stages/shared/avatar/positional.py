@@ -46,7 +46,8 @@ def network_grid(window: tuple[int, int, int, int], factor: int, depth: int) -> 
 class PositionalMaps(nn.Module):
     """Makes the network's input for a pose; holds no parameters.
 
-    `input_views` is "front" (3 channels) or "both" (6 channels: front, back).
+    `input_views` is "front" (3 channels) or "both" (6 channels: front, back). Only what is met first from
+    either side is shown; peeled sheets are not.
     """
 
     cells: Tensor  # (M,) int64, pixels of the input image that have texels
@@ -61,7 +62,7 @@ class PositionalMaps(nn.Module):
         self.channels = 3 if input_views == "front" else 6
         view, row, column = maps.window_texels
         cell = ((row + grid.row) // grid.factor) * grid.width + (column + grid.column) // grid.factor
-        used = torch.ones_like(view, dtype=torch.bool) if input_views == "both" else view == 0
+        used = view < (2 if input_views == "both" else 1)
         cells, member = torch.unique((view * grid.height * grid.width + cell)[used], return_inverse=True)
         self.register_buffer("cells", cells, persistent=False)
         pixels = torch.unique(cells % (grid.height * grid.width))
@@ -95,9 +96,13 @@ def _mean_by(member: Tensor, values: Tensor, count: int) -> Tensor:
 
 
 class CosineMaps(nn.Module):
-    """Mean of a per-texel value over each network pixel, as an image per view; zeros outside."""
+    """Mean of a per-texel value over each network pixel, as an image per side; zeros outside.
 
-    cell: Tensor  # (N,) int64
+    Peeled sheets do not take part: the image shows what is met first.
+    """
+
+    first: Tensor  # (M,) int64, texels that are met first
+    cell: Tensor  # (M,) int64
     number: Tensor  # pixels of both views, texels in each
 
     def __init__(self, maps: LayerMaps, grid: NetworkGrid) -> None:
@@ -105,13 +110,15 @@ class CosineMaps(nn.Module):
         self.grid = grid
         view, row, column = maps.window_texels
         cell = ((row + grid.row) // grid.factor) * grid.width + (column + grid.column) // grid.factor
-        cell = view * grid.height * grid.width + cell
+        first = (view < 2).nonzero()[:, 0]
+        cell = (view * grid.height * grid.width + cell)[first]
         number = maps.positions.new_zeros(2 * grid.height * grid.width)
         number.index_add_(0, cell, maps.positions.new_ones(len(cell)))
+        self.register_buffer("first", first, persistent=False)
         self.register_buffer("cell", cell, persistent=False)
         self.register_buffer("number", number.clamp(min=1), persistent=False)
 
     def forward(self, values: Tensor) -> Tensor:
         """(N,) -> (2, 1, height, width)."""
-        total = torch.zeros_like(self.number).index_add(0, self.cell, values)
+        total = torch.zeros_like(self.number).index_add(0, self.cell, values[self.first])
         return (total / self.number).view(2, 1, self.grid.height, self.grid.width)

@@ -1,8 +1,9 @@
 """Which body texels lie beneath a garment: a geometric test on the shared grid of texels.
 
-A body texel is covered when the garment's map in the same view, a little dilated and with its holes filled,
-contains it, and the garment's point lies outside the body's along the body's normal (Gaussian Wardrobe swaps
-"Gaussians inside the garment"; which those are is decided here by geometry, not by painted masks).
+A body texel is covered when one of the garment's sheets that face the same side, a little dilated and with
+its holes filled, contains it, and the garment's point lies outside the body's along the body's normal
+(Gaussian Wardrobe swaps "Gaussians inside the garment"; which those are is decided here by geometry, not by
+painted masks).
 """
 
 from __future__ import annotations
@@ -36,15 +37,16 @@ def covered_weights(body: LayerMaps, garment: LayerMaps, feather: float = FEATHE
     reach = int(np.ceil(DILATION / body.pitch)) + 1
     row0, column0 = window[0] - reach, window[1] - reach
     height, width = window[2] + 2 * reach, window[3] + 2 * reach
-    for view in (0, 1):
+    for view in range(body.views):
         rows, columns = texels[:, 1] - row0, texels[:, 2] - column0
         inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
         member = np.flatnonzero((texels[:, 0] == view) & inside)
         rows, columns = rows[member], columns[member]
         covered = np.zeros((height, width), bool)
-        covered[rows, columns] = _covered(
-            body, garment, view, member, rows, columns, (row0, column0, height, width)
-        )
+        for sheet in range(view % 2, garment.views, 2):
+            covered[rows, columns] |= _covered(
+                body, garment, sheet, member, rows, columns, (row0, column0, height, width)
+            )
         weights[member] = _feathered(covered, rows, columns, body.pitch, feather)
     return weights
 
@@ -52,16 +54,16 @@ def covered_weights(body: LayerMaps, garment: LayerMaps, feather: float = FEATHE
 def _covered(
     body: LayerMaps,
     garment: LayerMaps,
-    view: int,
+    sheet: int,
     member: NDArray[np.intp],
     rows: NDArray[np.int64],
     columns: NDArray[np.int64],
     window: tuple[int, int, int, int],
 ) -> NDArray[np.bool_]:
-    """(M,) which body texels `member` of one view are beneath the garment; rows and columns in the window."""
+    """(M,) which body texels `member` are beneath a sheet of the garment; rows and columns in the window."""
     row0, column0, height, width = window
     own = garment.texels.numpy()
-    here = np.flatnonzero(own[:, 0] == view)
+    here = np.flatnonzero(own[:, 0] == sheet)
     if not len(here) or not len(member):
         return np.zeros(len(member), bool)
     index = np.full((height, width), -1, np.int64)

@@ -1,0 +1,1 @@
+"""Gaussians and meshes in the formats of other programs."""

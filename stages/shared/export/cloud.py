@@ -1,0 +1,46 @@
+"""Posed Gaussians with covariances as Gaussians with axes and lengths, which every format has."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from stages.shared.avatar.compose import Composite
+from stages.shared.splat.ply import SplatCloud
+
+SMALLEST_SCALE = 1e-6  # m; what the 3DGS layout keeps apart from zero
+
+
+def cloud_of(composite: Composite) -> SplatCloud:
+    """All Gaussians of a composite, their layer's index in `layers`.
+
+    Skinning shears a Gaussian, so that no rotation and scale of the canonical one describe it; the principal
+    axes of its covariance do, exactly. Scales come largest first.
+    """
+    quats, scales = principal_axes(composite.covariances.double().numpy())
+    return SplatCloud(
+        means=composite.means.float().numpy(),
+        quats=quats,
+        scales=scales,
+        opacities=composite.opacities.float().numpy(),
+        colors=composite.features[:, :3].float().numpy(),
+        layers=composite.layer_ids.numpy().astype(np.uint8),
+    )
+
+
+def principal_axes(
+    covariances: NDArray[np.float64],
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Unit quaternions (N, 4) wxyz with w ≥ 0, and standard deviations (N, 3) m, of covariances (N, 3, 3) m².
+
+    Variances that rounding took below `SMALLEST_SCALE`² are raised to it.
+    """
+    if not len(covariances):
+        return np.zeros((0, 4), np.float32), np.zeros((0, 3), np.float32)
+    variances, axes = np.linalg.eigh(covariances)
+    variances, axes = variances[:, ::-1], axes[:, :, ::-1].copy()
+    axes[:, :, 2] *= np.sign(np.linalg.det(axes))[:, None]
+    quats = Rotation.from_matrix(axes).as_quat(canonical=True)[:, [3, 0, 1, 2]]
+    scales = np.sqrt(np.maximum(variances, SMALLEST_SCALE**2))
+    return quats.astype(np.float32), scales.astype(np.float32)

@@ -22,6 +22,7 @@ COMMANDS: tuple[str, ...] = (
     "segment_layers",
     "bake_maps",
     "train",
+    "distill",
     "export_garment",
     "tryon",
     "render",

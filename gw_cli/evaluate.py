@@ -23,7 +23,7 @@ def register(app: typer.Typer) -> None:
         split: Annotated[
             str, typer.Option(help="novel-pose, novel-view, or both with a comma.")
         ] = "novel-pose,novel-view",
-        methods: Annotated[str, typer.Option(help="trained, baseline, or both.")] = "trained,baseline",
+        methods: Annotated[str, typer.Option(help="Of trained, baseline, distilled.")] = "trained,baseline",
         frame_step: Annotated[
             int | None, typer.Option(min=1, help="Novel views: every so many-th training frame.")
         ] = None,

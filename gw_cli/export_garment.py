@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from gw_cli.console import Console, command
-from gw_cli.options import DryRun, Json, Preset, Subject, preset_config
+from gw_cli.options import Distilled, DryRun, Json, Preset, Subject, preset_config
 
 
 def register(app: typer.Typer) -> None:
@@ -25,6 +25,7 @@ def register(app: typer.Typer) -> None:
             str, typer.Option(help="Layers the garment takes up, e.g. lower,upper for a dress.")
         ] = "",
         note: Annotated[str, typer.Option(help="A sentence that goes into the file.")] = "",
+        distilled: Distilled = False,
         preset: Preset = "draft",
         dry_run: DryRun = False,
         as_json: Json = False,
@@ -39,7 +40,9 @@ def register(app: typer.Typer) -> None:
 
         console = Console(as_json)
         wanted = tuple(slot.strip() for slot in slots.split(",") if slot.strip())
-        config = replace(preset_config(PRESETS, preset), layer=layer, slots=wanted, note=note)
+        config = replace(
+            preset_config(PRESETS, preset), layer=layer, slots=wanted, distilled=distilled, note=note
+        )
         target = output or Path(f"{layer}.gwg")
         if dry_run:
             console.plan(stage.plan(subject, target, config))

@@ -30,6 +30,9 @@ FrameRate = Annotated[float, typer.Option(min=0, help="Frames per second; 0 keep
 Pixels = Annotated[int | None, typer.Option(min=16, max=8192, help="Pixels.")]
 Background = Annotated[str, typer.Option(help="white | black | grey | #rrggbb.")]
 Passes = Annotated[str, typer.Option(help="Also write: labels,depth,layers.")]
+Distilled = Annotated[
+    bool, typer.Option("--distilled", help="Use the blendshapes of `gw distill`, which play in real time.")
+]
 Swap = Annotated[
     bool, typer.Option(help="Beneath a garment, give the body the form of the garment's source.")
 ]

@@ -12,6 +12,7 @@ from gw_cli.console import Console, command
 from gw_cli.options import (
     Background,
     Betas,
+    Distilled,
     DryRun,
     FilmFolder,
     FrameRate,
@@ -45,6 +46,7 @@ def register(app: typer.Typer) -> None:
             str, typer.Option(help="static | orbit; with --cameras the name of one camera.")
         ] = "",
         take: Annotated[str, typer.Option(help="With --cameras: which take of the capture.")] = "",
+        distilled: Distilled = False,
         layers: Annotated[str, typer.Option(help="Only these layers, e.g. body,lower.")] = "",
         betas: Betas = "",
         frames: Rows = "",
@@ -79,6 +81,7 @@ def register(app: typer.Typer) -> None:
             width=width or base.width,
             height=height or base.height,
             background=background,
+            distilled=distilled,
             layers=names(layers),
             passes=names(passes),
             swap=swap,

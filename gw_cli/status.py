@@ -28,7 +28,7 @@ def register(app: typer.Typer) -> None:
         A stage is stale when a file it read has changed, when a stage before it is stale or was made again,
         or when its code is newer. Nothing is computed or changed.
         """
-        from stages.pipeline import PIPELINE
+        from stages.pipeline import OPTIONAL, PIPELINE
         from stages.shared.artifacts.staleness import next_stage, staleness
         from stages.shared.artifacts.workspace import Workspace
         from stages.shared.errors import MissingInput
@@ -41,7 +41,8 @@ def register(app: typer.Typer) -> None:
             )
         workspace = Workspace(subject)
         configs = {} if preset is None else {spec.name: _preset(spec.name, preset) for spec in PIPELINE}
-        states = staleness(workspace, PIPELINE, configs)
+        made = tuple(spec for spec in OPTIONAL if workspace.current(spec) is not None)
+        states = staleness(workspace, PIPELINE + made, configs)
         following = next_stage(states, PIPELINE)
         next_command = None if following is None else workspace.command(following)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 SPLITS = ("novel-pose", "novel-view")
-METHODS = ("trained", "baseline")
+METHODS = ("trained", "baseline", "distilled")
 
 
 @dataclass(frozen=True)
@@ -14,7 +14,8 @@ class EvaluateConfig:
 
     Attributes:
         splits: "novel-pose" (test takes, training cameras), "novel-view" (training take, held-out cameras).
-        methods: "trained", and "baseline": the layers' meshes with projected colours, moved by the bones.
+        methods: "trained", "distilled" (its blendshapes), and "baseline": the layers' meshes with projected
+            colours, moved by the bones.
         frame_step: every so many-th frame of the training take for novel views.
         test_frame_step: the same for test takes.
         pictures: side-by-side pictures per split.
@@ -22,7 +23,7 @@ class EvaluateConfig:
     """
 
     splits: tuple[str, ...] = SPLITS
-    methods: tuple[str, ...] = METHODS
+    methods: tuple[str, ...] = ("trained", "baseline")
     frame_step: int = 5
     test_frame_step: int = 1
     pictures: int = 4

@@ -2,7 +2,7 @@
 
 Reads:
     register-template: `body.safetensors`, `smpl_params.npz`. segment-layers: `<layer>.safetensors`.
-    bake-maps, train: `<layer>.safetensors`, `model.json` (for the method "trained").
+    bake-maps, train (or distill): `<layer>.safetensors`, `model.json` (for the method "trained").
     the capture: images, masks, labels and poses of the views.
 Writes, into the output folder:
     evaluation.json: {"novel_pose": {"trained": {score: mean}, "trained_without_first": …, "baseline": …},
@@ -23,7 +23,7 @@ from stages.evaluate.baseline import Baseline
 from stages.evaluate.config import METHODS, SPLITS, EvaluateConfig
 from stages.evaluate.gather import Gathered, comparison
 from stages.evaluate.views import FrameViews, require_views, views_of
-from stages.pipeline import BAKE_MAPS, REGISTER_TEMPLATE, SEGMENT_LAYERS, TRAIN
+from stages.pipeline import BAKE_MAPS, DISTILL, REGISTER_TEMPLATE, SEGMENT_LAYERS, TRAIN
 from stages.shared.artifacts import Workspace
 from stages.shared.artifacts.canonical import readable_json
 from stages.shared.artifacts.external import file_digest
@@ -163,9 +163,10 @@ def check_config(config: EvaluateConfig) -> None:
 def _methods(workspace: Workspace, body: BodyModel, config: EvaluateConfig) -> dict[str, Method]:
     registered = workspace.require(REGISTER_TEMPLATE)
     methods: dict[str, Method] = {}
-    if "trained" in config.methods:
-        parts = (registered, workspace.require(BAKE_MAPS), workspace.require(TRAIN))
-        methods["trained"] = TrainedMethod(outfit_of_training(*parts))
+    for name, spec in (("trained", TRAIN), ("distilled", DISTILL)):
+        if name in config.methods:
+            parts = (registered, workspace.require(BAKE_MAPS), workspace.require(spec))
+            methods[name] = TrainedMethod(outfit_of_training(*parts))
     if "baseline" in config.methods:
         betas = load_poses(registered.file("smpl_params.npz"), body).betas
         baseline = Baseline.load(workspace.require(SEGMENT_LAYERS), body, betas)

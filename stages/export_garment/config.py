@@ -12,6 +12,7 @@ class ExportGarmentConfig:
     Attributes:
         layer: "body", "lower", "upper" or "outer".
         slots: layers the garment takes up; () for its own. A dress takes ("lower", "upper").
+        distilled: take the blendshapes of `gw distill` instead of the networks.
         note: a sentence for people who get the file.
         beneath: carry the form of the source's body beneath the garment, which other bodies take over.
         beneath_frames: training poses over which that form is averaged.
@@ -20,6 +21,7 @@ class ExportGarmentConfig:
 
     layer: str = "lower"
     slots: tuple[str, ...] = ()
+    distilled: bool = False
     note: str = ""
     beneath: bool = True
     beneath_frames: int = 8

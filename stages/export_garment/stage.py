@@ -2,7 +2,7 @@
 
 Reads:
     register-template: `body.safetensors` body model; `smpl_params.npz` betas and poses.
-    bake-maps: `<layer>.safetensors`. train: `<layer>.safetensors`, `model.json`.
+    bake-maps: `<layer>.safetensors`. train, or distill: `<layer>.safetensors`, `model.json`.
 Writes:
     one `.gwg` file: maps, model, betas, preview; a body also its body model; a garment also the form of the
     source's body beneath it (offsets (K,3) f32 m and quaternions (K,4) f32 per covered texel). No dates, no
@@ -20,7 +20,7 @@ import torch
 
 from stages.export_garment.config import ExportGarmentConfig
 from stages.export_garment.preview import preview_picture
-from stages.pipeline import BAKE_MAPS, REGISTER_TEMPLATE, TRAIN
+from stages.pipeline import BAKE_MAPS, DISTILL, REGISTER_TEMPLATE, TRAIN
 from stages.shared.artifacts import Artifact, Workspace
 from stages.shared.artifacts.bundle import Bundle, write_bundle
 from stages.shared.avatar.maps import LayerMaps
@@ -82,7 +82,7 @@ def run(
         StorageFailure: disk full; nothing half-written is left.
     """
     config = replace(config, slots=checked_slots(config))
-    source = _open(subject)
+    source = _open(subject, config.distilled)
     names = _layers(source)
     if config.layer not in names:
         raise MissingInput(
@@ -118,7 +118,7 @@ def run(
 
 def plan(subject: Path, output: Path, config: ExportGarmentConfig = ExportGarmentConfig()) -> Plan:
     """What `run` would read, write and cost."""
-    source = _open(subject)
+    source = _open(subject, config.distilled)
     checked_slots(config)
     texels = int(source.baked.summary["texels"].get(config.layer, 0))
     return Plan(
@@ -183,9 +183,11 @@ def form_beneath(
     }
 
 
-def _open(subject: Path) -> _Source:
+def _open(subject: Path, distilled: bool) -> _Source:
     workspace = Workspace(subject)
-    return _Source(*(workspace.require(spec) for spec in (REGISTER_TEMPLATE, BAKE_MAPS, TRAIN)))
+    return _Source(
+        *(workspace.require(spec) for spec in (REGISTER_TEMPLATE, BAKE_MAPS, DISTILL if distilled else TRAIN))
+    )
 
 
 def _layers(source: _Source) -> list[str]:

@@ -17,6 +17,7 @@ class RenderConfig:
         take: which take of the capture, "" for its only (test) take.
         width, height: pixels, for "static" and "orbit".
         background: white, black, grey or #rrggbb, behind film and contact sheet.
+        distilled: of a subject, show the blendshapes of `gw distill` instead of the networks.
         layers: only these; () for all.
         swap: beneath a garment, give the body the form of the garment's own source.
         penetration: repair pixels where an inner layer pokes through a garment.
@@ -31,6 +32,7 @@ class RenderConfig:
     width: int = 480
     height: int = 640
     background: str = "white"
+    distilled: bool = False
     layers: tuple[str, ...] = ()
     swap: bool = True
     penetration: bool = True

@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from stages.pipeline import BAKE_MAPS, REGISTER_TEMPLATE, TRAIN
+from stages.pipeline import BAKE_MAPS, DISTILL, REGISTER_TEMPLATE, TRAIN
 from stages.render.config import RenderConfig
 from stages.shared.artifacts import Workspace
 from stages.shared.artifacts.canonical import readable_json
@@ -193,7 +193,8 @@ def _open_outfit(
         )
     workspace = Workspace(folders[0])
     registered = workspace.require(REGISTER_TEMPLATE)
-    outfit = outfit_of_training(registered, workspace.require(BAKE_MAPS), workspace.require(TRAIN))
+    learned = workspace.require(DISTILL if config.distilled else TRAIN)
+    outfit = outfit_of_training(registered, workspace.require(BAKE_MAPS), learned)
     poses = load_poses(registered.file("smpl_params.npz"), outfit.body_model)
     return outfit if betas is None else replace(outfit, betas=betas), poses, {}
 

@@ -1,0 +1,44 @@
+"""`gw distill`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gw_cli.console import Console, command
+from gw_cli.options import DryRun, Force, Json, Preset, Subject, preset_config
+
+
+def register(app: typer.Typer) -> None:
+    @app.command("distill")
+    @command
+    def distill(
+        subject: Subject,
+        poses: Annotated[
+            list[Path] | None,
+            typer.Option("--poses", help="Motions beyond the training's to be faithful in; repeatable."),
+        ] = None,
+        preset: Preset = "draft",
+        force: Force = False,
+        dry_run: DryRun = False,
+        as_json: Json = False,
+    ) -> None:
+        """Turn the trained networks into blendshapes that play in real time.
+
+        The networks are asked about the training poses and poses between them; bases per texel, with a kernel
+        on the pose, take over what they answered. `gw render` and `gw export-garment` use the result with
+        `--distilled`, `gw evaluate` with `--methods distilled`; bundles made so are worn like any other.
+        """
+        from stages.distill import stage
+        from stages.distill.config import PRESETS
+
+        console = Console(as_json)
+        config = preset_config(PRESETS, preset)
+        if dry_run:
+            console.plan(stage.plan(subject, config))
+            return
+        result = stage.run(subject, config, console, force, tuple(poses or ()))
+        following = f"gw export-garment {subject} --layer body --distilled -o body.gwg"
+        console.result(result.summary, next_command=following)

@@ -1,0 +1,149 @@
+"""From a network's answers to blendshapes: principal components, and a kernel from the pose to their scores."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from stages.distill.config import DistillConfig
+from stages.shared.avatar.blendshapes import (
+    GROUPS,
+    BlendshapeModel,
+    BlendshapeSizes,
+    describe,
+    gaussian_kernel,
+    group_channels,
+    neighbour_distance,
+)
+from stages.shared.avatar.decoder import AvatarModel
+
+_WIDTHS = (1.0, 2.0, 4.0, 8.0)  # tried kernel widths, in typical distances between neighbouring poses
+_RIDGES = (1e-6, 1e-4, 1e-2)
+_FOLDS = 5
+
+
+@dataclass(frozen=True)
+class Components:
+    """Principal components of one group of channels.
+
+    Attributes:
+        bases: (N, C, K). scores: (T, K) of the sampled poses. left_out: RMS of what K components leave out,
+            in the group's unit. energy: share of the variance that they keep.
+    """
+
+    bases: Tensor
+    scores: Tensor
+    left_out: float
+    energy: float
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A distilled layer and how well it answers poses that its kernel was not given (RMS, by group)."""
+
+    model: BlendshapeModel
+    components: dict[str, Components]
+    unseen_error: dict[str, float]
+
+
+def components(values: Tensor, unit: float, tolerance: float, most: int) -> Components:
+    """Components of centred answers (T, N, C): as few as leave out less than `tolerance`, one at least.
+
+    `unit` converts a value to what the tolerance is said in. Through the (T, T) Gram matrix, in float64.
+    """
+    count = values.shape[0]
+    flat = values.reshape(count, -1)
+    gram = torch.zeros(count, count, dtype=torch.float64)
+    for part in flat.split(1 << 16, dim=1):  # float64 copies of a part at a time
+        gram += part.double() @ part.double().T
+    spread, axes = torch.linalg.eigh(gram)
+    spread, axes = spread.flip(0).clamp(min=0.0), axes.flip(1)
+    rest = (spread.sum() - spread.cumsum(0)).clamp(min=0.0)
+    left_out = unit * (rest / (count * values.shape[1])).sqrt()
+    kept = int((left_out > tolerance).sum()) + 1
+    kept = max(1, min(kept, most, count))
+    scale = spread[:kept].sqrt()
+    inverse = torch.where(scale > 1e-9 * scale[0].clamp(min=1e-30), 1.0 / scale, 0.0)
+    bases = (axes[:, :kept] * inverse).T.float() @ flat
+    total = float(spread.sum())
+    return Components(
+        bases.reshape(kept, *values.shape[1:]).permute(1, 2, 0).contiguous(),
+        (axes[:, :kept] * scale).float(),
+        float(left_out[kept - 1]),
+        1.0 - float(rest[kept - 1]) / total if total > 0 else 1.0,
+    )
+
+
+def fit_layer(
+    teacher: AvatarModel, residuals: Tensor, training: int, poses: list[Tensor], config: DistillConfig
+) -> Fit:
+    """The blendshapes of a layer.
+
+    Arguments:
+        teacher: the trained model; its free attributes are taken over.
+        residuals: (T, N, 14) its answers. training: how many of them, the first, are training poses.
+        poses: T bone transforms (55, 4, 4).
+    """
+    mean = residuals[:training].mean(dim=0)
+    centred = residuals - mean
+    units = {"offset": teacher.model_config.offset_scale, "color": 1.0, "form": 1.0}
+    tolerances = (config.offset_tolerance, config.color_tolerance, config.form_tolerance)
+    parts = {
+        group: components(centred[:, :, group_channels(group)], units[group], tolerance, most)
+        for group, tolerance, most in zip(GROUPS, tolerances, config.most, strict=True)
+    }
+    scores = torch.cat([part.scores for part in parts.values()], dim=1).double()
+    described = torch.stack([describe(pose) for pose in poses]).double()
+    width, ridge, unseen = _chosen_kernel(described, scores)
+    counts = {group: part.scores.shape[1] for group, part in parts.items()}
+    ranks = (counts["offset"], counts["color"], counts["form"])
+    model_config = replace(teacher.model_config, decoder="blendshapes", ranks=ranks, anchors=0)
+    model = BlendshapeModel(teacher.maps, model_config, BlendshapeSizes(**counts, centres=len(poses)))
+    with torch.no_grad():
+        for name, tensor in teacher.state().items():
+            if name.startswith("base_"):
+                getattr(model, name).copy_(tensor)
+        model.mean_residual.copy_(mean)
+        model.coefficients.centres.copy_(described)
+        model.coefficients.bandwidth.copy_(width)
+        model.coefficients.weights.copy_(_solve(gaussian_kernel(described, described, width), scores, ridge))
+        for group, part in parts.items():
+            getattr(model, f"basis_{group}").copy_(part.bases)
+    first, errors = 0, {}
+    for group, count in counts.items():
+        wrong = unseen[:, first : first + count].square().sum(dim=1)
+        errors[group] = units[group] * float((wrong.mean() / len(teacher.maps)).sqrt())
+        first += count
+    return Fit(model, parts, errors)
+
+
+def _chosen_kernel(described: Tensor, scores: Tensor) -> tuple[Tensor, float, Tensor]:
+    """Width and ridge that predict left-out poses best, and the errors (T, K) of those predictions.
+
+    Bases are orthonormal, so errors of scores are errors of the attributes.
+    """
+    typical = neighbour_distance(described).clamp(min=1e-6)
+    shuffled = torch.randperm(len(described), generator=torch.Generator().manual_seed(0))
+    fold = shuffled % _FOLDS  # neighbours in time would otherwise help each other in a pattern
+    best: tuple[float, Tensor, float, Tensor] | None = None
+    for width in _WIDTHS:
+        kernel = gaussian_kernel(described, described, typical * width)
+        for ridge in _RIDGES:
+            errors = scores.clone()
+            for left_out in range(min(_FOLDS, len(described))):
+                known, asked = fold != left_out, fold == left_out
+                if known.any():
+                    weights = _solve(kernel[known][:, known], scores[known], ridge)
+                    errors[asked] = kernel[asked][:, known] @ weights - scores[asked]
+            total = float(errors.square().sum())
+            if best is None or total < best[0]:
+                best = (total, typical * width, ridge, errors)
+    assert best is not None
+    return best[1], best[2], best[3]
+
+
+def _solve(kernel: Tensor, scores: Tensor, ridge: float) -> Tensor:
+    """Kernel ridge regression: (K + λ I)⁻¹ scores."""
+    return torch.linalg.solve(kernel + ridge * torch.eye(len(kernel), dtype=kernel.dtype), scores)

@@ -1,0 +1,122 @@
+"""Distill: turn the networks of a trained subject into blendshapes that play in real time.
+
+Reads:
+    register-template: `smpl_params.npz`, `body.safetensors`. bake-maps: `<layer>.safetensors`.
+    train: `<layer>.safetensors`, `model.json`. Pose files, if any are given.
+Writes, as train does:
+    `<layer>.safetensors`: state of a `BlendshapeModel`. `model.json`: {"layers": {name: its config}}.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from stages.distill.config import DistillConfig
+from stages.distill.fit import Fit, fit_layer
+from stages.distill.samples import sample_poses
+from stages.pipeline import BAKE_MAPS, DISTILL, REGISTER_TEMPLATE, TRAIN
+from stages.shared.artifacts import Artifact, ExternalFiles, Workspace
+from stages.shared.artifacts.result import StageResult
+from stages.shared.body import BodyModel
+from stages.shared.outfit.layer import layer_of_training
+from stages.shared.plan import Plan
+from stages.shared.poses.read import load_poses
+from stages.shared.report import SILENT, Report
+
+
+def run(
+    subject: Path,
+    config: DistillConfig = DistillConfig(),
+    report: Report = SILENT,
+    force: bool = False,
+    motions: Sequence[Path] = (),
+) -> StageResult:
+    """Ask the networks about many poses and fit blendshapes to the answers, layer by layer.
+
+    `motions` are pose files beyond the training motion to be faithful in.
+
+    Raises:
+        MissingInput: the subject is not trained. BadData: a pose file.
+    """
+    workspace = Workspace(subject)
+    registered, baked, trained = (workspace.require(spec) for spec in (REGISTER_TEMPLATE, BAKE_MAPS, TRAIN))
+    inputs: dict[str, Artifact | ExternalFiles] = {
+        "register-template": registered,
+        "bake-maps": baked,
+        "train": trained,
+    }
+    for index, path in enumerate(motions):
+        inputs[f"motion-{index}"] = ExternalFiles(f"motion-{index}", path.parent, [path])
+    found = None if force else workspace.find(DISTILL, config, inputs)
+    if found is not None:
+        report.say("up to date")
+        return StageResult(found, found.summary)
+    body = BodyModel.from_arrays(registered.arrays("body.safetensors"))
+    training = load_poses(registered.file("smpl_params.npz"), body)
+    poses, known = sample_poses(body, training, [load_poses(path, body) for path in motions], config)
+    summary: dict[str, Any] = {"poses": len(poses)}
+    with workspace.build(DISTILL, config, inputs, force=force) as build:
+        layers = {}
+        for name in trained.json("model.json")["layers"]:
+            report.step(f"distilling {name}")
+            fit = _distilled(name, baked, trained, poses, known, config, report)
+            build.write_arrays(f"{name}.safetensors", {k: v.numpy() for k, v in fit.model.state().items()})
+            layers[name] = fit.model.config
+            summary[name] = _figures(fit)
+        build.write_json("model.json", {"layers": layers})
+        build.summary(**summary)
+    return StageResult(build.artifact, build.artifact.summary)
+
+
+def plan(subject: Path, config: DistillConfig = DistillConfig()) -> Plan:
+    """What `run` would read, write and cost."""
+    workspace = Workspace(subject)
+    registered, baked, trained = (workspace.require(spec) for spec in (REGISTER_TEMPLATE, BAKE_MAPS, TRAIN))
+    texels = baked.summary["texels"]
+    poses = config.training_poses + config.blended_poses
+    numbers = 70 + sum(width * most for width, most in zip((3, 3, 8), config.most, strict=True))
+    return Plan(
+        inputs=[str(part.path) for part in (registered, baked, trained)],
+        outputs=[f"{workspace.root / DISTILL.name}/<key>/{name}.safetensors" for name in texels],
+        config=asdict(config),
+        seconds=5.0 + 3e-6 * poses * sum(texels.values()),
+        memory_bytes=600_000_000 + 3 * 56 * poses * max(texels.values()),
+        disk_bytes=4 * sum(texels.values()) * numbers,
+    )
+
+
+@torch.no_grad()
+def _distilled(
+    name: str,
+    baked: Artifact,
+    trained: Artifact,
+    poses: list[torch.Tensor],
+    known: int,
+    config: DistillConfig,
+    report: Report,
+) -> Fit:
+    teacher = layer_of_training(name, baked, trained).model
+    residuals = torch.empty(len(poses), len(teacher.maps), 14)
+    for index, pose in enumerate(poses):
+        residuals[index] = teacher.residual(pose)
+        report.progress(index + 1, len(poses))
+    return fit_layer(teacher, residuals, known, poses, config)
+
+
+def _figures(fit: Fit) -> dict[str, Any]:
+    """Numbers to judge a layer by: bases, what they leave out, error in poses the kernel was not given."""
+    return {
+        group: {
+            "bases": part.scores.shape[1],
+            "energy": float(np.round(part.energy, 5)),
+            "left_out_rms": float(f"{part.left_out:.3g}"),
+            "unseen_pose_rms": float(f"{fit.unseen_error[group]:.3g}"),
+        }
+        for group, part in fit.components.items()
+    }

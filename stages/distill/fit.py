@@ -1,4 +1,4 @@
-"""From a network's answers to blendshapes: principal components, and a kernel from the pose to their scores."""
+"""From a network's answers to blendshapes: principal components, and a kernel from pose to their scores."""
 
 from __future__ import annotations
 

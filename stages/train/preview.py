@@ -7,8 +7,9 @@ import torch
 from numpy.typing import NDArray
 
 from stages.shared.avatar.compose import compose
-from stages.shared.capture import LABEL_COLORS, LABELS, LAYER_OF_LABEL
+from stages.shared.capture import LABEL_COLORS
 from stages.train.data import TrainingViews, View
+from stages.train.method import layer_of_label
 from stages.train.objective import render
 from stages.train.trainer import Trainer
 
@@ -46,10 +47,9 @@ def _truth(view: View) -> NDArray[np.uint8]:
 
 
 def _layer_colors(layers: tuple[str, ...]) -> torch.Tensor:
-    """(L, 3) 0..1: the label colour of each layer."""
-    names = {"body": "skin"} | {layer: LABELS[label] for label, layer in LAYER_OF_LABEL.items() if label > 2}
-    number = {name: label for label, name in LABELS.items()}
-    return torch.tensor([LABEL_COLORS[number[names[layer]]] for layer in layers]) / 255.0
+    """(L, 3) 0..1: the label colour of each layer; a baseline's clothing takes the first of its garments'."""
+    first = {layer: label for label, layer in reversed(layer_of_label(layers).items())}
+    return torch.tensor([LABEL_COLORS[first.get(layer, 0)] for layer in layers]) / 255.0
 
 
 def _bytes(image: torch.Tensor) -> NDArray[np.uint8]:

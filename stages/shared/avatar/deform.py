@@ -105,9 +105,11 @@ def estimate_normals(means: Tensor, maps: LayerMaps, fallback: Tensor) -> Tensor
         total = total + torch.linalg.cross(arms[:, first], arms[:, second])
     sign = 1.0 - 2.0 * maps.side[:, None].to(means.dtype)
     total = total * sign
+    finite(total, "estimate_normals", means=means)
     good = total.square().sum(dim=1, keepdim=True) > 1e-18
     chosen = torch.where(good, total, fallback)
-    return chosen / chosen.square().sum(dim=1, keepdim=True).clamp(min=1e-18).sqrt()
+    length = chosen.square().sum(dim=1, keepdim=True).clamp(min=1e-18).sqrt()
+    return chosen / finite(length, "estimate_normals", means=means)
 
 
 def view_cosines(maps: LayerMaps, transforms: Tensor, betas: Tensor, eye: Tensor) -> Tensor:

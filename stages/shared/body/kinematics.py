@@ -18,10 +18,12 @@ from torch import Tensor
 
 from stages.shared.body.model import BodyModel
 from stages.shared.body.skeleton import PARENTS
+from stages.shared.errors import BadData
 from stages.shared.finite import finite
 
 # Below this squared angle the series is exact to the last bit of float64 (next term θ⁶/5040).
 _SMALL_ANGLE_SQUARED = 1e-4
+_LARGEST_BETA = 1e6
 # Beyond a turn and a bit, the angle's own rounding in float32 would show in its sine.
 _LARGE_ANGLE_SQUARED = 64.0
 
@@ -68,6 +70,7 @@ def shaped_joints(body: BodyModel, betas: Tensor, expression: Tensor | None = No
     Returns:
         (..., 55, 3) metres, rest frame.
     """
+    _check_shape(betas)
     joints = constant(body.joint_template, betas) + torch.einsum(
         "jcb,...b->...jc", constant(body.joint_directions, betas), betas
     )
@@ -87,6 +90,7 @@ def shaped_vertices(body: BodyModel, betas: Tensor, expression: Tensor | None = 
     Returns:
         (..., V, 3) metres, rest frame.
     """
+    _check_shape(betas)
     vertices = constant(body.template_vertices, betas) + torch.einsum(
         "vcb,...b->...vc", constant(body.shape_directions, betas), betas
     )
@@ -94,6 +98,19 @@ def shaped_vertices(body: BodyModel, betas: Tensor, expression: Tensor | None = 
         directions = constant(body.expression_directions, betas)[..., : expression.shape[-1]]
         vertices = vertices + torch.einsum("vce,...e->...vc", directions, expression)
     return finite(vertices, "shaped_vertices", betas=betas, expression=expression)
+
+
+def _check_shape(betas: Tensor) -> None:
+    """Refuse coefficients that no body has and whose derivatives would leave the range of float32."""
+    beyond = (betas.detach().abs() > _LARGEST_BETA).nonzero()
+    if len(beyond):
+        index = beyond[0].tolist()
+        where = "betas" + "".join(f"[{i}]" for i in index)
+        raise BadData(
+            f"{where} is {float(betas[tuple(index)]):.3g}; a shape has coefficients of a few units.",
+            where,
+            "Look for the step that wrote it; nothing was made of it.",
+        )
 
 
 def bone_transforms(

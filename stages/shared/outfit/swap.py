@@ -79,10 +79,9 @@ def slerp(start: Tensor, end: Tensor, weights: Tensor) -> Tensor:
     require_finite("slerp", start=start, end=end, weights=weights)
     cosine = (start * end).sum(dim=1, keepdim=True)
     end = torch.where(cosine < 0, -end, end)
-    angle = torch.acos(cosine.abs().clamp(max=1.0))
-    sine = torch.sin(angle)
-    straight = sine < 1e-4  # nearly equal: the chord is the arc
-    safe = torch.where(straight, 1.0, sine)
+    straight = cosine.abs() > 1 - 1e-7  # nearly equal: the chord is the arc, and the arc has no slope
+    angle = torch.acos(torch.where(straight, 0.0, cosine.abs()))
+    safe = torch.sin(angle)
     first = torch.where(straight, 1 - weights, torch.sin((1 - weights) * angle) / safe)
     second = torch.where(straight, weights, torch.sin(weights * angle) / safe)
     return torch.nn.functional.normalize(first * start + second * end, dim=1)

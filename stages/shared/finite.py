@@ -81,7 +81,8 @@ def _first_not_finite(array: Any) -> list[int]:
 
 
 def _value(array: Any, index: list[int]) -> float:
-    return float(array[tuple(index)] if index else array)
+    value = array[tuple(index)] if index else array
+    return float(value.detach() if hasattr(value, "detach") else value)
 
 
 def _type(array: Any) -> str:

@@ -107,7 +107,7 @@ def _check_shape(betas: Tensor) -> None:
         index = beyond[0].tolist()
         where = "betas" + "".join(f"[{i}]" for i in index)
         raise BadData(
-            f"{where} is {float(betas[tuple(index)]):.3g}; a shape has coefficients of a few units.",
+            f"{where} is {float(betas.detach()[tuple(index)]):.3g}; a shape has coefficients of a few units.",
             where,
             "Look for the step that wrote it; nothing was made of it.",
         )

@@ -136,7 +136,8 @@ def _check(model: BodyModel) -> None:
         if values.shape != shape:
             raise _bad(f"{name} has shape {values.shape}, expected {shape}.", model.source)
         if not np.isfinite(values).all():
-            raise _bad(f"{name} contains NaN or infinity.", model.source)
+            index = "".join(f"[{i}]" for i in np.argwhere(~np.isfinite(values))[0])
+            raise _bad(f"{name}{index} is NaN or infinity.", model.source)
     faces = model.faces
     if faces.ndim != 2 or faces.shape[1] != 3 or not len(faces):
         raise _bad(f"faces have shape {faces.shape}, expected (F, 3) with F > 0.", model.source)

@@ -18,6 +18,7 @@ from safetensors.numpy import load_file
 from stages.shared.body.model import BodyModel
 from stages.shared.body.skeleton import JOINT_COUNT
 from stages.shared.errors import BadData, MissingInput
+from stages.shared.finite import require_finite
 
 _LEVELS = 32767
 _WEIGHT_LEVELS = 65535
@@ -35,6 +36,9 @@ def pack_body(body: BodyModel, weights_per_vertex: int = 6) -> dict[str, NDArray
         (3,10) f32; faces (F,3) u16; weight_joints (V,K) u8, weights (V,K) u16; regressor_joints (R,) u8,
         regressor_vertices (R,) u16, regressor_values (R,) f32.
     """
+    require_finite(
+        "pack_body", template_vertices=body.template_vertices, shape_directions=body.shape_directions
+    )
     vertices, vertex_scale = _quantise(body.template_vertices)
     shape, shape_scale = _quantise(body.shape_directions)
     joints = np.argsort(-body.skin_weights, axis=1, kind="stable")[:, :weights_per_vertex]

@@ -5,9 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.shared.finite import require_finite
+
 
 def rotation_of_axis_angle(vector: NDArray[np.float64]) -> NDArray[np.float64]:
     """(3, 3) rotation matrix of an axis-angle vector (3,), radians (Rodrigues' formula)."""
+    require_finite("rotation_of_axis_angle", axis_angle=vector)
     angle = float(np.linalg.norm(vector))
     if angle < 1e-12:
         return np.eye(3) + _cross(vector)

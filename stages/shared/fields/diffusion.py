@@ -12,6 +12,8 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
+from stages.shared.finite import require_finite
+
 
 def inverse_distance_matrix(
     tree: cKDTree, points: np.ndarray, neighbours: int = 30, clamp: float = 1e-4
@@ -25,6 +27,7 @@ def inverse_distance_matrix(
     Returns:
         matrix (N, V); distance (N,) to the nearest vertex; number (N,) of the nearest vertex.
     """
+    require_finite("inverse_distance_matrix", points=points)
     neighbours = min(neighbours, tree.n)
     distance, number = tree.query(points, k=neighbours)
     distance, number = distance.reshape(len(points), -1), number.reshape(len(points), -1)

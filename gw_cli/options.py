@@ -28,7 +28,10 @@ Betas = Annotated[str, typer.Option(help="Another body shape: up to ten numbers,
 Rows = Annotated[str, typer.Option(help="Only these rows of the motion, as a slice: 10:90:2.")]
 FrameRate = Annotated[float, typer.Option(min=0, help="Frames per second; 0 keeps the motion's own.")]
 Pixels = Annotated[int | None, typer.Option(min=16, max=8192, help="Pixels.")]
-Background = Annotated[str, typer.Option(help="white | black | grey | #rrggbb.")]
+Background = Annotated[
+    str,
+    typer.Option(help="Behind film and sheet: white | black | grey | #rrggbb | transparent | a PNG or JPEG."),
+]
 Passes = Annotated[str, typer.Option(help="Also write: labels,depth,layers.")]
 Distilled = Annotated[
     bool, typer.Option("--distilled", help="Use the blendshapes of `gw distill`, which play in real time.")

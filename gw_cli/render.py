@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -14,7 +16,6 @@ from gw_cli.options import (
     Betas,
     Distilled,
     DryRun,
-    FilmFolder,
     FrameRate,
     Json,
     Passes,
@@ -36,15 +37,23 @@ def register(app: typer.Typer) -> None:
             list[Path], typer.Argument(metavar="SUBJECT|BODY.gwg …", help="A trained subject, or bundles.")
         ],
         poses: Annotated[
-            Path | None, typer.Option(help="The motion; default: the subject's own, or the capture's.")
+            Path | None,
+            typer.Option(
+                help="The motion (npz of SMPL-X or AMASS, or BVH), or `canonical`: the pose of the maps; "
+                "default: the subject's own, or the capture's."
+            ),
         ] = None,
         cameras: Annotated[
             Path | None, typer.Option(help="A capture: its cameras, for the frames it has images of.")
         ] = None,
-        output: FilmFolder = Path("render"),
+        output: Annotated[
+            Path | None, typer.Option("-o", "--output", help="Folder of film and frames; default: render.")
+        ] = None,
         camera: Annotated[
-            str, typer.Option(help="static | orbit; with --cameras the name of one camera.")
+            str,
+            typer.Option(help="static | orbit | PATH.json; with --cameras the name of one camera."),
         ] = "",
+        turns: Annotated[float, typer.Option(help="How often orbit walks around.")] = 1.0,
         take: Annotated[str, typer.Option(help="With --cameras: which take of the capture.")] = "",
         distilled: Distilled = False,
         layers: Annotated[str, typer.Option(help="Only these layers, e.g. body,lower.")] = "",
@@ -55,16 +64,41 @@ def register(app: typer.Typer) -> None:
         height: Pixels = None,
         background: Background = "white",
         passes: Passes = "",
+        video: Annotated[str, typer.Option(help="auto | h264 | vp9 | none.")] = "auto",
+        export: Annotated[str, typer.Option(help="Also write every frame's Gaussians: ply,spz,glb.")] = "",
+        pictures: Annotated[bool, typer.Option(help="Write pictures and film, or exports only.")] = True,
+        shard: Annotated[
+            str, typer.Option(help="Only the i-th of n parts of the frames, as 2/4; see below.")
+        ] = "",
         swap: Swap = True,
         penetration: Penetration = True,
         preset: Preset = "draft",
         dry_run: DryRun = False,
         as_json: Json = False,
     ) -> None:
-        """Write film and frames of a subject, or of an outfit of bundles.
+        """Write film, frames and splat files of a subject, or of an outfit of bundles.
 
         Frames have a transparent background; the film plays in a browser. With --cameras the frames can be
         scored: gw evaluate --frames OUT --truth CAPTURE.
+
+        Examples:
+
+        gw render body.gwg skirt.gwg --poses walk.bvh --camera orbit -o walk
+
+        gw render body.gwg skirt.gwg --poses walk.bvh --background transparent --video vp9
+
+        gw render body.gwg skirt.gwg --poses walk.bvh --export ply,spz --no-pictures -o splats
+
+        gw render SUBJECT --cameras CAPTURE --passes depth,layers -o views
+
+        A JSON file as --camera holds keys between which the camera glides:
+        {"format": "gw-camera-path", "version": 1, "keys": [{"frame": 0, "position": [0, 1, 3],
+        "target": [0, 1, 0], "field_of_view": 35}, {"frame": 90, "position": [3, 1, 0], "target": [0, 1, 0]}]}
+        or "cameras": one per frame, with matrices as in a capture's cameras.json.
+
+        A run that was killed goes on where it was: type the same command again. On many machines: the same
+        command with --shard 1/4 to --shard 4/4 into the same -o, and then once without --shard, which puts
+        the parts together (and renders what is missing).
         """
         from stages.render import stage
         from stages.render.config import PRESETS
@@ -77,6 +111,7 @@ def register(app: typer.Typer) -> None:
             frames=frames,
             fps=fps,
             camera=camera,
+            turns=turns,
             take=take,
             width=width or base.width,
             height=height or base.height,
@@ -84,12 +119,32 @@ def register(app: typer.Typer) -> None:
             distilled=distilled,
             layers=names(layers),
             passes=names(passes),
+            video=video,
+            exports=names(export),
+            pictures=pictures,
+            shard=shard,
             swap=swap,
             penetration=penetration,
         )
+        target = output or Path("render")
         if dry_run:
-            console.plan(stage.plan(sources, poses, cameras, output, config))
+            console.plan(stage.plan(sources, poses, cameras, target, config))
             return
-        result = stage.run(sources, poses, cameras, output, config, console)
-        score = f"gw evaluate --frames {result.path} --truth {cameras}" if cameras else None
-        console.result({"path": result.path, **result.summary}, next_command=score)
+        result = stage.run(sources, poses, cameras, target, config, console)
+        following = f"gw evaluate --frames {result.path} --truth {cameras}" if cameras else None
+        if not result.complete:
+            following = f"{_without_shard(sys.argv)}   (when all parts are done)"
+        console.result({"path": result.path, **result.summary}, next_command=following)
+
+
+def _without_shard(words: list[str]) -> str:
+    """The command line that puts the parts together."""
+    kept, skip = ["gw"], False
+    for word in words[1:]:
+        if skip or word.startswith("--shard="):
+            skip = False
+        elif word == "--shard":
+            skip = True
+        else:
+            kept.append(word)
+    return shlex.join(kept)

@@ -20,8 +20,9 @@ from stages.shared.body import Poses
 from stages.shared.outfit.outfit import Outfit, outfit_of_bundles
 from stages.shared.outfit.penetration import PenetrationConfig
 from stages.shared.outfit.reel import ReelConfig, ReelFrame, check_passes, write_reel
-from stages.shared.outfit.sources import parse_background, parse_betas, parse_frames, read_bundles
+from stages.shared.outfit.sources import parse_betas, parse_frames, read_bundles
 from stages.shared.outfit.viewpoints import viewpoint_cameras
+from stages.shared.pictures.background import read_background
 from stages.shared.pictures.folder import check_output, output_folder
 from stages.shared.plan import Plan
 from stages.shared.poses.read import load_poses
@@ -100,7 +101,7 @@ def plan(
 def _reel_config(config: TryonConfig) -> ReelConfig:
     check_passes(config.passes)
     return ReelConfig(
-        background=parse_background(config.background),
+        background=read_background(config.background),
         passes=config.passes,
         penetration=PenetrationConfig() if config.penetration else None,
         film="tryon",

@@ -5,12 +5,17 @@ Writes, below a folder:
     labels/[CAMERA/]RRRRRR.png    (H,W) u8 label ids, 255 none               (pass "labels")
     depth/[CAMERA/]RRRRRR.png     (H,W) u16 millimetres, 0 none              (pass "depth")
     layers/LAYER/[CAMERA/]RRRRRR.png   (H,W,4) u8, each layer alone          (pass "layers")
+    FORMAT/frameRRRRRR.FORMAT     the posed Gaussians (exports "ply", "spz", "glb"), and export_notes.json
     NAME.mp4 or NAME.webm         the first camera's film; contact_sheet.png
+    records/RRRRRR.json           of every finished frame; whoever closes the folder removes them
+
+Film and contact sheet are made from the frames in the folder, so it does not matter in how many runs, or by
+whom, those were rendered.
 """
 
 from __future__ import annotations
 
-import contextlib
+import json
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -21,16 +26,23 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.shared.artifacts.files import make_folders, write_file
+from stages.shared.artifacts.canonical import canonical_json
+from stages.shared.artifacts.files import make_folders, remove_folder, write_file, write_whole
 from stages.shared.artifacts.pictures import encode_png
+from stages.shared.avatar.compose import Composite
 from stages.shared.body import Poses
 from stages.shared.capture.camera import Camera
 from stages.shared.errors import UsageProblem
+from stages.shared.export.cloud import cloud_of
+from stages.shared.export.notes import NOTES_NAME, write_notes
+from stages.shared.export.splats import write_splats
 from stages.shared.outfit.outfit import Outfit
 from stages.shared.outfit.penetration import PenetrationConfig
 from stages.shared.outfit.picture import Shot, straight_alpha, take_picture, to_bytes
+from stages.shared.pictures.background import WHITE, Background
+from stages.shared.pictures.parts import RECORDS, Share
 from stages.shared.pictures.sheet import chosen, contact_sheet, shrunk
-from stages.shared.pictures.video import VideoWriter, video_suffix
+from stages.shared.pictures.video import VideoWriter, chosen_suffix
 from stages.shared.report import Report
 
 PASSES = ("labels", "depth", "layers")
@@ -50,18 +62,23 @@ class ReelConfig:
     """What is written.
 
     Attributes:
-        background: sRGB 0..1 behind film and contact sheet; the frames are transparent.
+        background: behind film and contact sheet; the frames are transparent.
         passes: of `PASSES`.
         penetration: tolerances of the penetration pass, None to leave it out.
-        film: name of the video without its suffix; "" for none.
+        film: name of the video without its suffix. video: of `VIDEOS`.
         camera_folders: one folder per camera, as a capture has them.
+        exports: splat formats to write every frame's Gaussians in.
+        pictures: whether there are pictures at all, or exports only.
     """
 
-    background: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    background: Background = WHITE
     passes: tuple[str, ...] = ()
     penetration: PenetrationConfig | None = None
     film: str = "film"
+    video: str = "auto"
     camera_folders: bool = False
+    exports: tuple[str, ...] = ()
+    pictures: bool = True
 
 
 @dataclass
@@ -73,11 +90,16 @@ class ReelSummary:
     penetrated: dict[str, int] = field(default_factory=dict)
     video: str | None = None
 
-    def add(self, shot: Shot) -> None:
-        """Count a picture."""
-        self.pictures += 1
-        for pair, number in shot.counts.items():
-            self.penetrated[pair] = self.penetrated.get(pair, 0) + number
+    def add(self, other: ReelSummary) -> None:
+        """Count the pictures of another one as well."""
+        self.pictures += other.pictures
+        for mine, theirs in ((self.seconds, other.seconds), (self.penetrated, other.penetrated)):
+            for name, number in theirs.items():
+                mine[name] = mine.get(name, 0) + number  # type: ignore[assignment]
+
+    def clock(self, name: str, started: float) -> None:
+        """Add the time since `started` (perf_counter) to a part of the work."""
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - started
 
     def as_dict(self) -> dict[str, Any]:
         """For result.json; penetrated pixels are totals over all pictures."""
@@ -99,14 +121,33 @@ def write_reel(
     config: ReelConfig,
     report: Report,
 ) -> ReelSummary:
-    """Render and write everything; memory does not grow with the number of frames.
+    """Render and write everything that is not in the folder yet; memory does not grow with the frames.
 
     Arguments:
-        folder: an empty folder, renamed into place by the caller.
+        folder: a folder for this reel alone, renamed into place by the caller.
         poses: rows as `frames` name them.
 
     Raises:
         UsageProblem: a row that the poses do not have. StorageFailure: disk full.
+    """
+    write_frames(folder, outfit, poses, frames, config, report)
+    summary = close_reel(folder, outfit, poses, frames, config)
+    remove_folder(folder / RECORDS)
+    return summary
+
+
+def write_frames(
+    folder: Path,
+    outfit: Outfit,
+    poses: Poses,
+    frames: Sequence[ReelFrame],
+    config: ReelConfig,
+    report: Report,
+    share: Share = Share(),
+) -> int:
+    """Render a share of the frames, those that are finished already left out; returns how many were left out.
+
+    A frame is finished when its record is there, which is written last.
     """
     last = max((frame.row for frame in frames), default=-1)
     if last >= len(poses):
@@ -115,32 +156,35 @@ def write_reel(
             "poses and cameras",
             "Give the motion that belongs to the cameras, or fewer frames.",
         )
-    summary, sheet = ReelSummary(), []
-    sheet_rows = set(chosen(len(frames), _SHEET_PICTURES))
-    with contextlib.ExitStack() as stack:
-        film = None
-        if config.film and len(frames) > 1:
-            summary.video = config.film + video_suffix()
-            film = stack.enter_context(VideoWriter(folder / summary.video, poses.fps))
-        for index, frame in enumerate(frames):
-            with _clock(summary, "pose"):
-                composite = outfit.composite(poses, frame.row)
-            for order, camera in enumerate(frame.cameras):
-                with _clock(summary, "render"):
-                    shot = take_picture(composite, camera, config.penetration, "layers" in config.passes)
-                summary.add(shot)
-                with _clock(summary, "write"):
-                    _write_shot(folder, shot, frame.row, camera.name, config)
-                    if order == 0:
-                        picture = shot.on(config.background)
-                        if film is not None:
-                            film.add(picture)
-                        if index in sheet_rows:
-                            sheet.append((picture, f"frame {frame.row}"))
-            report.progress(index + 1, len(frames))
-    pictures = [shrunk(picture, _SHEET_SIDE) for picture, _ in sheet]
-    page = contact_sheet(pictures, _SHEET_COLUMNS, [text for _, text in sheet])
-    write_file(folder / "contact_sheet.png", encode_png(page))
+    mine = share.of(frames)
+    missing = [frame for frame in mine if not _record(folder, frame.row).exists()]
+    for index, frame in enumerate(missing):
+        counted = _write_frame(folder, outfit, poses, frame, config)
+        content = {
+            "pictures": counted.pictures,
+            "seconds": counted.seconds,
+            "penetrated": counted.penetrated,
+        }
+        write_whole(_record(folder, frame.row), canonical_json(content))
+        report.progress(index + 1, len(missing))
+    return len(mine) - len(missing)
+
+
+def close_reel(
+    folder: Path, outfit: Outfit, poses: Poses, frames: Sequence[ReelFrame], config: ReelConfig
+) -> ReelSummary:
+    """Film, contact sheet and export notes out of finished frames, and the sum of their records."""
+    summary = ReelSummary()
+    for frame in frames:
+        summary.add(ReelSummary(**json.loads(_record(folder, frame.row).read_bytes())))
+    started = time.perf_counter()
+    for kind in config.exports:
+        more = {"layers": list(outfit.names), "frames_per_second": poses.fps, "gaussians": outfit.gaussians}
+        write_notes(folder / kind / NOTES_NAME, kind, "world, posed", **more)
+    if config.pictures:
+        summary.video = _write_film(folder, poses.fps, frames, config)
+        _write_sheet(folder, frames, config)
+    summary.clock("film", started)
     return summary
 
 
@@ -155,30 +199,95 @@ def check_passes(passes: tuple[str, ...]) -> None:
         )
 
 
-def _write_shot(folder: Path, shot: Shot, row: int, camera: str, config: ReelConfig) -> None:
+def _write_frame(
+    folder: Path, outfit: Outfit, poses: Poses, frame: ReelFrame, config: ReelConfig
+) -> ReelSummary:
+    """All files of one moment, and what was counted."""
+    counted = ReelSummary()
+    started = time.perf_counter()
+    composite = outfit.composite(poses, frame.row)
+    counted.clock("pose", started)
+    if config.exports:
+        started = time.perf_counter()
+        _write_exports(folder, composite, frame.row, config.exports)
+        counted.clock("export", started)
+    for camera in frame.cameras if config.pictures else ():
+        started = time.perf_counter()
+        shot = take_picture(composite, camera, config.penetration, "layers" in config.passes)
+        counted.clock("render", started)
+        counted.add(ReelSummary(1, penetrated=shot.counts))
+        started = time.perf_counter()
+        _write_shot(folder, shot, _name(frame.row, camera, config), config.passes)
+        counted.clock("write", started)
+    return counted
+
+
+def _write_shot(folder: Path, shot: Shot, name: str, passes: tuple[str, ...]) -> None:
     """All files of one picture."""
-    name = f"{camera}/{row:06d}.png" if config.camera_folders else f"{row:06d}.png"
     files = {f"frames/{name}": encode_png(shot.straight())}
-    if "labels" in config.passes:
+    if "labels" in passes:
         files[f"labels/{name}"] = encode_png(shot.labels)
-    if "depth" in config.passes:
+    if "depth" in passes:
         files[f"depth/{name}"] = _depth_png(shot.depth)
     for layer, values in shot.layers.items():
         picture = to_bytes(straight_alpha(values[..., :3], values[..., 3]))
         files[f"layers/{layer}/{name}"] = encode_png(picture)
     for path, data in files.items():
         make_folders((folder / path).parent)
+        (folder / path).unlink(missing_ok=True)  # of a frame that a kill left unfinished
         write_file(folder / path, data)
+
+
+def _write_exports(folder: Path, composite: Composite, row: int, kinds: tuple[str, ...]) -> None:
+    cloud = cloud_of(composite)
+    for kind in kinds:
+        write_splats(folder / kind / f"frame{row:06d}.{kind}", cloud, composite.layers)
+
+
+def _write_film(folder: Path, fps: float, frames: Sequence[ReelFrame], config: ReelConfig) -> str | None:
+    """The first camera's film; its name, or None where there is none."""
+    suffix = chosen_suffix(config.video, config.background.transparent)
+    if not suffix or len(frames) < 2:
+        return None
+    clear = config.background.transparent
+    name = config.film + suffix
+    with VideoWriter(folder / name, fps, clear) as film:
+        for picture in _first_pictures(folder, frames, config):
+            film.add(picture if clear else config.background.under(picture))
+    return name
+
+
+def _write_sheet(folder: Path, frames: Sequence[ReelFrame], config: ReelConfig) -> None:
+    few = [frames[index] for index in chosen(len(frames), _SHEET_PICTURES)]
+    pictures = [
+        shrunk(config.background.under(picture), _SHEET_SIDE)
+        for picture in _first_pictures(folder, few, config)
+    ]
+    page = contact_sheet(pictures, _SHEET_COLUMNS, [f"frame {frame.row}" for frame in few])
+    (folder / "contact_sheet.png").unlink(missing_ok=True)
+    write_file(folder / "contact_sheet.png", encode_png(page))
+
+
+def _first_pictures(
+    folder: Path, frames: Sequence[ReelFrame], config: ReelConfig
+) -> Iterator[NDArray[np.uint8]]:
+    """(H, W, 4) u8 RGBA of the first camera of every frame, one after the other."""
+    for frame in frames:
+        path = folder / "frames" / _name(frame.row, frame.cameras[0], config)
+        picture = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        assert picture is not None, path
+        yield np.asarray(picture[..., [2, 1, 0, 3]], np.uint8)
+
+
+def _name(row: int, camera: Camera, config: ReelConfig) -> str:
+    return f"{camera.name}/{row:06d}.png" if config.camera_folders else f"{row:06d}.png"
+
+
+def _record(folder: Path, row: int) -> Path:
+    return folder / RECORDS / f"{row:06d}.json"
 
 
 def _depth_png(depth: NDArray[np.float32]) -> bytes:
     """16-bit PNG of millimetres, at most 65.535 m."""
     millimetres = np.clip(np.rint(depth * 1000), 0, 65535).astype(np.uint16)
     return bytes(cv2.imencode(".png", millimetres)[1])
-
-
-@contextlib.contextmanager
-def _clock(summary: ReelSummary, name: str) -> Iterator[None]:
-    started = time.perf_counter()
-    yield
-    summary.seconds[name] = summary.seconds.get(name, 0.0) + time.perf_counter() - started

@@ -58,21 +58,6 @@ def parse_frames(text: str, count: int) -> list[int]:
     return rows
 
 
-def parse_background(text: str) -> tuple[float, float, float]:
-    """sRGB 0..1 of "white", "black", "grey" or "#rrggbb"."""
-    named = {"white": "#ffffff", "black": "#000000", "grey": "#808080", "gray": "#808080"}
-    value = named.get(text, text)
-    try:
-        if len(value) != 7 or value[0] != "#":
-            raise ValueError
-        red, green, blue = (int(value[at : at + 2], 16) / 255 for at in (1, 3, 5))
-    except ValueError:
-        raise UsageProblem(
-            f"{text!r} is no colour.", "option --background", "Give white, black, grey or #rrggbb."
-        ) from None
-    return red, green, blue
-
-
 def capture_take(capture: Capture, name: str | None) -> Take:
     """The take of a capture that is asked for: by name, else its only test take, else its only take."""
     if name is not None:

@@ -13,7 +13,7 @@ from stages.shared.errors import BadData, UsageProblem
 from stages.shared.outfit.outfit import outfit_of_bundles
 from stages.shared.outfit.penetration import PenetrationConfig
 from stages.shared.outfit.picture import take_picture
-from stages.shared.outfit.sources import parse_background, parse_betas, parse_frames
+from stages.shared.outfit.sources import parse_betas, parse_frames
 from stages.shared.outfit.viewpoints import viewpoint_cameras
 from tests.shared.outfit.wardrobe import bundle, cameras, motion, outfit, worn
 
@@ -130,13 +130,9 @@ def test_texts_of_the_command_line() -> None:
     assert parse_frames("", 3) == [0, 1, 2] and parse_frames("1:10:4", 8) == [1, 5]
     assert parse_betas("") is None
     assert np.array_equal(parse_betas("1,-2"), np.array([1, -2] + [0] * 8, np.float32))
-    assert parse_background("#ff0080") == (1.0, 0.0, 128 / 255) and parse_background("white") == (1, 1, 1)
     for wrong in ("1:2:3:4", "5", "a:b", "7:3", "0:3:0"):
         with pytest.raises(UsageProblem):
             parse_frames(wrong, 8)
     for wrong in ("x", "1,2,nan", ",".join("1" * 11), "100"):
         with pytest.raises(UsageProblem):
             parse_betas(wrong)
-    for wrong in ("#12345", "blue", "#gggggg"):
-        with pytest.raises(UsageProblem):
-            parse_background(wrong)

@@ -21,7 +21,7 @@ def register(app: typer.Typer) -> None:
             Path | None, typer.Argument(metavar="SUBJECT", help="Workspace folder of the subject.")
         ] = None,
         split: Annotated[
-            str, typer.Option(help="novel-pose, novel-view, or both with a comma.")
+            str, typer.Option(help="Of novel-pose, novel-view, novel-both (test poses, held-out cameras).")
         ] = "novel-pose,novel-view",
         methods: Annotated[str, typer.Option(help="Of trained, baseline, distilled.")] = "trained,baseline",
         frame_step: Annotated[
@@ -30,11 +30,33 @@ def register(app: typer.Typer) -> None:
         test_frame_step: Annotated[
             int | None, typer.Option(min=1, help="Novel poses: every so many-th test frame.")
         ] = None,
+        cameras: Annotated[
+            int | None, typer.Option(min=1, help="At most so many cameras of each frame.")
+        ] = None,
+        training: Annotated[
+            str,
+            typer.Option(
+                metavar="KEY", help="Score this training (folder name in SUBJECT/train, or its start)."
+            ),
+        ] = "",
         frames: Annotated[
             Path | None, typer.Option(help="Instead of a subject: output of gw render --cameras CAPTURE.")
         ] = None,
         truth: Annotated[
-            Path | None, typer.Option(help="With --frames: the capture that shows the same.")
+            Path | None,
+            typer.Option(
+                help="With --frames: the capture that shows the same. With --images: folder of pictures."
+            ),
+        ] = None,
+        images: Annotated[
+            Path | None,
+            typer.Option(help="Instead of a subject: any folder of pictures, named as those of --truth."),
+        ] = None,
+        masks: Annotated[
+            Path | None,
+            typer.Option(
+                help="With --images: folder of foreground masks; without, the alpha of --truth, if any."
+            ),
         ] = None,
         output: Annotated[
             Path | None, typer.Option("-o", "--output", help="Folder; default: SUBJECT/evaluation.")
@@ -52,8 +74,9 @@ def register(app: typer.Typer) -> None:
         """Score a trained subject on poses and views it has not seen, beside a baseline that learned nothing.
 
         The baseline is the template with projected colours, moved by the bones. Figures over the foreground
-        come first; psnr and ssim over the whole picture are the ones that papers print. With --frames and
-        --truth, any rendered frames are scored against a capture.
+        come first; psnr and ssim over the whole picture are the ones that papers print. flip is a perceptual
+        difference that needs no weights (0 is equal). With --frames and --truth, rendered frames are scored
+        against a capture; with --images and --truth, any folders of pictures.
         """
         from stages.evaluate.config import PRESETS
 
@@ -63,12 +86,19 @@ def register(app: typer.Typer) -> None:
             config = replace(config, frame_step=frame_step)
         if test_frame_step is not None:
             config = replace(config, test_frame_step=test_frame_step)
-        if (frames is None) != (truth is None) or (frames is None) == (subject is None):
+        if cameras is not None:
+            config = replace(config, cameras=cameras)
+        config = replace(config, training=training)
+        given = sum(source is not None for source in (subject, frames, images))
+        if given != 1 or (truth is None) != (subject is not None) or (masks is not None and images is None):
             raise UsageProblem(
                 "It is not clear what to evaluate.",
-                "SUBJECT, --frames, --truth",
-                "Give a subject, or --frames DIR together with --truth CAPTURE.",
+                "SUBJECT, --frames, --images, --truth, --masks",
+                "Give a subject, or --frames DIR --truth CAPTURE, or --images DIR --truth DIR [--masks DIR].",
             )
+        if images is not None and truth is not None:
+            _images_against_truth(console, images, truth, masks, output, config, dry_run, perceptual_weights)
+            return
         if frames is not None and truth is not None:
             _frames_against_truth(console, frames, truth, output, config, dry_run, perceptual_weights)
             return
@@ -102,4 +132,27 @@ def _frames_against_truth(
         console.plan(Plan(inputs=[str(frames), str(truth)], outputs=[str(folder / truth_stage.RESULT_NAME)]))
         return
     result = truth_stage.run(frames, truth, folder, config, console, weights)
+    console.result({"path": result.path, **result.summary})
+
+
+def _images_against_truth(
+    console: Console,
+    images: Path,
+    truth: Path,
+    masks: Path | None,
+    output: Path | None,
+    config: Any,
+    dry_run: bool,
+    weights: Path | None,
+) -> None:
+    from stages.evaluate import images as images_stage
+    from stages.shared.plan import Plan
+
+    folder = output or images.parent / (images.name + "_evaluation")
+    if dry_run:
+        pairs = images_stage.paired(images, truth)
+        inputs = [str(path) for path in (images, truth, masks) if path is not None]
+        console.plan(Plan(inputs, [str(folder / "evaluation.json")], {"pictures": len(pairs)}))
+        return
+    result = images_stage.run(images, truth, folder, masks, config, console, weights)
     console.result({"path": result.path, **result.summary})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-SPLITS = ("novel-pose", "novel-view")
+SPLITS = ("novel-pose", "novel-view", "novel-both")
 METHODS = ("trained", "baseline", "distilled")
 
 
@@ -13,19 +13,23 @@ class EvaluateConfig:
     """Which views are scored, and what is scored on them.
 
     Attributes:
-        splits: "novel-pose" (test takes, training cameras), "novel-view" (training take, held-out cameras).
+        splits: "novel-pose" (test takes, training cameras), "novel-view" (training take, held-out cameras),
+            "novel-both" (test takes, held-out cameras).
         methods: "trained", "distilled" (its blendshapes), and "baseline": the layers' meshes with projected
             colours, moved by the bones.
         frame_step: every so many-th frame of the training take for novel views.
-        test_frame_step: the same for test takes.
+        test_frame_step: the same for test takes. cameras: at most so many of each frame; 0 for all.
+        training: beginning of the key of the training that is scored; "" for the one in use.
         pictures: side-by-side pictures per split.
         supersampling: rays per pixel and axis of the baseline's render.
     """
 
-    splits: tuple[str, ...] = SPLITS
+    splits: tuple[str, ...] = SPLITS[:2]
     methods: tuple[str, ...] = ("trained", "baseline")
     frame_step: int = 5
     test_frame_step: int = 1
+    cameras: int = 0
+    training: str = ""
     pictures: int = 4
     supersampling: int = 2
 

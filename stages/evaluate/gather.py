@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -23,9 +24,18 @@ class Gathered:
     perceptual: Perceptual | None = None
     rows: list[dict[str, Any]] = field(default_factory=list)
 
-    def add(self, method: str, take: str, camera: str, frame: int, first: bool, view: ViewPair) -> Scores:
-        """Score a view and keep the row."""
-        scores = view_scores(view, self.perceptual)
+    def add(
+        self,
+        method: str,
+        take: str,
+        camera: str,
+        frame: int,
+        first: bool,
+        view: ViewPair,
+        unknown: Sequence[str] = (),
+    ) -> Scores:
+        """Score a view and keep the row; the scores called `unknown` mean nothing here and are None."""
+        scores = view_scores(view, self.perceptual) | dict.fromkeys(unknown)
         finite = {k: None if v is None or not np.isfinite(v) else round(v, 6) for k, v in scores.items()}
         self.rows.append(
             {"method": method, "take": take, "camera": camera, "frame": frame, "first": first, **finite}

@@ -4,13 +4,13 @@ Reads:
     DIR of `gw render --cameras CAPTURE`: result.json; frames/CAMERA/RRRRRR.png (H,W,4) u8 sRGB, straight
     alpha, labels/CAMERA/RRRRRR.png (H,W) u8. The capture: images, masks, labels of the same frames.
 Writes, into the output folder:
-    evaluation.json: {"tryon_truth": {score: mean}}; views.json; tryon_truth_<n>.png.
+    evaluation.json: {"tryon_truth": {score: mean}, "tryon_truth_without_first": …}; views.json;
+    tryon_truth_<n>.png.
 """
 
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +19,8 @@ import numpy as np
 
 from stages.evaluate.config import EvaluateConfig
 from stages.evaluate.gather import Gathered, comparison
-from stages.shared.artifacts.canonical import readable_json, strict_json
-from stages.shared.artifacts.external import file_digest
+from stages.evaluate.result import MARK, RESULT_NAME, EvaluateResult, write_evaluation
+from stages.shared.artifacts.canonical import strict_json
 from stages.shared.artifacts.files import write_file
 from stages.shared.artifacts.pictures import encode_png
 from stages.shared.capture import Take, open_capture
@@ -34,17 +34,7 @@ from stages.shared.pictures.folder import output_folder
 from stages.shared.pictures.sheet import chosen
 from stages.shared.report import SILENT, Report
 
-MARK = "gw-evaluation"
-RESULT_NAME = "evaluation.json"
 _SPLIT = "tryon_truth"
-
-
-@dataclass(frozen=True)
-class TruthResult:
-    """The folder, and the means."""
-
-    path: Path
-    summary: dict[str, Any]
 
 
 def run(
@@ -54,7 +44,7 @@ def run(
     config: EvaluateConfig = EvaluateConfig(),
     report: Report = SILENT,
     perceptual_weights: Path | None = None,
-) -> TruthResult:
+) -> EvaluateResult:
     """Score every picture of `frames` that the capture `truth` also has.
 
     Raises:
@@ -83,14 +73,13 @@ def run(
                 picture = comparison(view.truth, view.truth_labels, {"tryon": view})
                 write_file(folder / f"{_SPLIT}_{pictures.index(index)}.png", encode_png(picture))
             report.progress(index + 1, len(pairs))
-        summary: dict[str, Any] = {_SPLIT: gathered.means()["tryon"]}
+        means = gathered.means()
+        summary: dict[str, Any] = {_SPLIT: means["tryon"]}
+        if "tryon_without_first" in means:
+            summary[f"{_SPLIT}_without_first"] = means["tryon_without_first"]
         summary["seconds"] = round(time.monotonic() - started, 1)
-        write_file(folder / "views.json", readable_json({_SPLIT: gathered.rows}))
-        content = {"format": MARK, "version": 1, "config": asdict(config), **summary}
-        if perceptual_weights:
-            content["perceptual_digest"] = file_digest(perceptual_weights)
-        write_file(folder / RESULT_NAME, readable_json(content))
-    return TruthResult(output, summary)
+        write_evaluation(folder, config, summary, {_SPLIT: gathered.rows}, perceptual_weights)
+    return EvaluateResult(output, summary)
 
 
 def _rendered(frames: Path) -> dict[str, Any]:

@@ -1,4 +1,5 @@
-"""Which views are scored: novel poses by the cameras that were learned from, novel views of learned poses."""
+"""Which views are scored: novel poses by the cameras that were learned from, novel views of learned poses,
+and both at once."""
 
 from __future__ import annotations
 
@@ -25,17 +26,17 @@ class FrameViews:
 
 
 def views_of(split: str, capture: Capture, training_take: str, config: EvaluateConfig) -> list[FrameViews]:
-    """The frames of a split ("novel-pose" or "novel-view"), in order; empty where the capture has none."""
-    if split == "novel-pose":
+    """The frames of a split (one of SPLITS), in order; empty where the capture has none."""
+    if split != "novel-view":
         frames = [
-            _views(take, frame, take.training_cameras, index == 0)
+            _views(take, frame, _cameras(take, split, config), index == 0)
             for take in capture.test_takes
             for index, frame in enumerate(take.frames[:: config.test_frame_step])
         ]
     else:
         take = capture.take(training_take)
         frames = [
-            _views(take, frame, take.heldout_cameras, index == 0)
+            _views(take, frame, _cameras(take, split, config), index == 0)
             for index, frame in enumerate(take.frames[:: config.frame_step])
         ]
     return [views for views in frames if views.cameras]
@@ -44,12 +45,19 @@ def views_of(split: str, capture: Capture, training_take: str, config: EvaluateC
 def require_views(views: list[FrameViews], split: str, capture: Capture) -> None:
     """Raise MissingInput where a split that was asked for has nothing to score."""
     if not views:
-        lacking = "test take" if split == "novel-pose" else "held-out camera"
+        lacking = {"novel-pose": "test take", "novel-view": "held-out camera"}.get(
+            split, "test take seen by a held-out camera"
+        )
         raise MissingInput(
             f"The capture has no {lacking}, so there is nothing to score for {split}.",
             str(capture.root),
             "Choose the other split with --split.",
         )
+
+
+def _cameras(take: Take, split: str, config: EvaluateConfig) -> tuple[str, ...]:
+    cameras = take.training_cameras if split == "novel-pose" else take.heldout_cameras
+    return tuple(cameras[: config.cameras] if config.cameras else cameras)
 
 
 def _views(take: Take, frame: int, cameras: tuple[str, ...], first: bool) -> FrameViews:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from stages.shared.losses.crops import mask_box, square_crop
 from stages.shared.losses.perceptual import Perceptual
+from stages.shared.metrics.flip import flip
 from stages.shared.metrics.psnr import Picture, psnr
 from stages.shared.metrics.segmentation import GARMENT_LABELS, segmentation_scores
 from stages.shared.metrics.sharpness import sharpness
@@ -39,6 +40,7 @@ NAMES = (
     "sharpness",
     *(f"psnr_{region}" for region in _REGIONS),
 )
+FOREGROUND_NAMES = ("psnr_foreground", "ssim_foreground", "iou")  # mean nothing without a mask
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,9 @@ def view_scores(view: ViewPair, perceptual: Perceptual | None = None) -> Scores:
       window.
     - `iou`: alpha > 0.5 against mask > 127. `miou`, `recall`, `f1`: garment labels.
     - `sharpness`: gradient energy over the truth's. `psnr_upper` …: inside the true label regions.
-    - `lpips`: with a metric only; the mask's box and 50 px, on a white square of 512 px. `flip` stays None.
+    - `lpips`: with a metric only; the mask's box and 50 px, on a white square of 512 px.
+    - `flip`: mean over the foreground of the felt difference, 0 equal to 1, both pictures white outside the
+      mask (LDR-FLIP at 67 pixels per degree); needs no weights, smaller is better.
     """
     inside = view.mask > MASK_THRESHOLD
     outside = ~inside[..., None]
@@ -80,6 +84,7 @@ def view_scores(view: ViewPair, perceptual: Perceptual | None = None) -> Scores:
         "psnr": psnr(prediction_on_white, truth_on_white),
         "ssim": ssim(prediction_on_white, truth_on_white, window="uniform"),
         "iou": iou(view.alpha > 0.5, inside),
+        "flip": flip(prediction_on_white, truth_on_white, inside),
         "sharpness": sharpness(view.prediction, view.truth, inside),
     }
     if perceptual is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -15,7 +16,7 @@ from gw_cli.app import app
 from stages.evaluate import stage, truth
 from stages.evaluate.baseline import Baseline
 from stages.evaluate.config import EvaluateConfig
-from stages.pipeline import REGISTER_TEMPLATE, SEGMENT_LAYERS
+from stages.pipeline import BAKE_MAPS, REGISTER_TEMPLATE, SEGMENT_LAYERS, TRAIN
 from stages.render import stage as render
 from stages.render.config import RenderConfig
 from stages.shared.artifacts import Workspace
@@ -39,7 +40,7 @@ def test_both_splits_and_both_methods(dressed_subject: Path, tmp_path: Path) -> 
         assert trained["sharpness"] == pytest.approx(1, abs=0.2)
         assert baseline["psnr_foreground"] < trained["psnr_foreground"]
         assert 0.6 < baseline["iou"] < 1 and baseline["miou"] > 0.5  # splats are fatter than the mesh
-        assert trained["lpips"] is None and trained["flip"] is None
+        assert trained["lpips"] is None and 0 < trained["flip"] < baseline["flip"]
     stored = json.loads((tmp_path / "out/evaluation.json").read_text())
     assert stored["novel_pose"]["trained"] == pose["trained"]
     rows = json.loads((tmp_path / "out/views.json").read_text())["novel_view"]
@@ -86,6 +87,7 @@ def test_frames_against_a_capture(dressed_subject: Path, tmp_path: Path) -> None
     scores = result.summary["tryon_truth"]
     assert scores["views"] == 9 and scores["psnr_foreground"] == pytest.approx(EXPECTED_PSNR, abs=0.3)
     assert scores["iou"] == 1 and scores["miou"] > 0.99 and scores["psnr_lower"] is not None
+    assert result.summary["tryon_truth_without_first"]["views"] == 6
     assert (tmp_path / "out/tryon_truth_0.png").is_file()
 
 
@@ -111,6 +113,9 @@ def test_command_and_what_it_refuses(dressed_subject: Path, wardrobe: Path, tmp_
     for wrong, code in (
         (["evaluate"], 2),
         (["evaluate", str(dressed_subject), "--frames", out], 2),
+        (["evaluate", str(dressed_subject), "--truth", out], 2),
+        (["evaluate", "--images", out], 2),
+        (["evaluate", str(dressed_subject), "--training", "ffff", "-o", out], 66),
         (["evaluate", str(dressed_subject), "--split", "novel-smell", "-o", out], 2),
         (["evaluate", str(dressed_subject), "--methods", "", "-o", out], 2),
         (["evaluate", "--frames", str(wardrobe), "--truth", str(capture), "-o", out], 66),
@@ -130,6 +135,39 @@ def test_frames_of_another_size_are_refused(dressed_subject: Path, tmp_path: Pat
     with pytest.raises(BadData, match="pixels, the truth"):
         truth.run(frames, capture, tmp_path / "out", CONFIG)
     assert not (tmp_path / "out").exists()
+
+
+def test_both_at_once_and_fewer_cameras(dressed_subject: Path, tmp_path: Path) -> None:
+    config = EvaluateConfig(splits=("novel-both", "novel-pose"), methods=("trained",), cameras=1, pictures=0)
+    result = stage.run(dressed_subject, tmp_path / "out", config)
+    assert result.summary["novel_both"]["trained"]["views"] == 5
+    rows = json.loads((tmp_path / "out/views.json").read_text())
+    assert {(row["take"], row["camera"]) for row in rows["novel_both"]} == {("other", "cam2")}
+    assert {(row["take"], row["camera"]) for row in rows["novel_pose"]} == {("other", "cam0")}
+
+
+def test_another_training_can_be_scored(tmp_path: Path) -> None:
+    subject = make_subject(tmp_path)
+    workspace = Workspace(subject)
+    first = workspace.require(TRAIN)
+    with workspace.build(TRAIN, {"steps": 1}, {"bake-maps": workspace.require(BAKE_MAPS)}) as build:
+        for name in ("body", "lower", "upper"):
+            arrays = first.arrays(name)
+            arrays["base_color"] = -arrays["base_color"]
+            build.write_arrays(name, arrays)
+        build.write_json("model.json", first.json("model.json"))
+        build.summary(method="gaussian-wardrobe", without=["sg"])
+    config = EvaluateConfig(splits=("novel-view",), methods=("trained",), frame_step=4, pictures=0)
+    current = stage.run(subject, tmp_path / "a", config)
+    assert current.summary["training"]["trained"]["without"] == ["sg"]
+    other = stage.run(subject, tmp_path / "b", replace(config, training=first.key[:6]))
+    assert other.summary["training"]["trained"]["key"] == first.key
+    good, bad = (result.summary["novel_view"]["trained"]["psnr_foreground"] for result in (other, current))
+    assert good == pytest.approx(EXPECTED_PSNR, abs=1e-3) and bad < good - 5
+    with workspace.build(BAKE_MAPS, {"new": 1}, {}) as baked:
+        baked.summary(layers=[])
+    with pytest.raises(UsageProblem, match="other maps"):
+        stage.run(subject, tmp_path / "c", replace(config, training=first.key))
 
 
 def test_unknown_names_are_refused() -> None:

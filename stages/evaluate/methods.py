@@ -1,0 +1,51 @@
+"""What can show a frame to a camera: the trained layers, and the meshes that learned nothing."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.evaluate.baseline import Baseline
+from stages.evaluate.views import FrameViews
+from stages.shared.capture.camera import Camera
+from stages.shared.outfit.outfit import Outfit
+from stages.shared.outfit.picture import take_picture
+
+Rendered = tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.uint8]]  # picture on black, alpha, labels
+
+
+class Method(Protocol):
+    """Something that can show a frame to a camera."""
+
+    def pose(self, views: FrameViews) -> None: ...
+
+    def render(self, camera: Camera) -> Rendered: ...
+
+
+class TrainedMethod:
+    """The trained layers of the subject."""
+
+    def __init__(self, outfit: Outfit) -> None:
+        self.outfit = outfit
+
+    def pose(self, views: FrameViews) -> None:
+        self._composite = self.outfit.composite(views.take.poses, views.frame)
+
+    def render(self, camera: Camera) -> Rendered:
+        shot = take_picture(self._composite, camera)
+        return shot.on((0.0, 0.0, 0.0)), shot.alpha, shot.labels
+
+
+class BaselineMethod:
+    """The meshes that learned nothing."""
+
+    def __init__(self, baseline: Baseline, supersampling: int) -> None:
+        self.baseline, self.supersampling = baseline, supersampling
+
+    def pose(self, views: FrameViews) -> None:
+        self._scene = self.baseline.posed(views.take.poses, views.frame)
+
+    def render(self, camera: Camera) -> Rendered:
+        return self.baseline.render(self._scene, camera, self.supersampling)

@@ -23,7 +23,7 @@ from stages.shared.errors import BadData
 from stages.shared.finite import require_finite
 
 CHANNELS = {"offset": (0, 3), "quaternion": (3, 7), "opacity": (7, 8), "scale": (8, 11), "color": (11, 14)}
-_MIN_SCALE = 1e-5
+MIN_SCALE = 1e-5
 _FLATNESS = 0.3
 
 
@@ -110,7 +110,7 @@ class TexelAttributes(nn.Module):
         config = self.model_config
         log_scale = self.base_scale + part["scale"]
         if config.max_scale > 0:
-            log_scale = log_scale.clamp(math.log(_MIN_SCALE), math.log(config.max_scale))
+            log_scale = log_scale.clamp(math.log(MIN_SCALE), math.log(config.max_scale))
         color = self.base_color + part["color"]
         return Attributes(
             offsets=self.base_offset + config.offset_scale * part["offset"],
@@ -128,7 +128,7 @@ class TexelAttributes(nn.Module):
 def _start(maps: LayerMaps, config: ModelConfig) -> dict[str, Tensor]:
     """Initial base attributes: discs of the projected colours on the surface, or the published constants."""
     count = len(maps)
-    log_spacing = maps.spacing.clamp(min=_MIN_SCALE).log()[:, None].repeat(1, 3)
+    log_spacing = maps.spacing.clamp(min=MIN_SCALE).log()[:, None].repeat(1, 3)
     quaternion = maps.positions.new_tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1)
     if not config.base:
         return {

@@ -1,0 +1,147 @@
+"""Posing without gradients, in one pass: what `TexelAttributes.attributes` and `pose_layer` do, fused.
+
+For playing, not for training: activations, re-shaping, swap, skinning and covariances of a texel happen in
+registers, bones with no weight are skipped, and results go into buffers that the caller owns. Normals are not
+estimated. `pose_layer` is the plain version; the test is their difference.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from stages.shared.avatar.blendshapes import GROUPS, BlendshapeModel, group_channels
+from stages.shared.avatar.deform import shaped_positions
+from stages.shared.avatar.posing_kernel import BLOCK, pose_texels
+from stages.shared.avatar.texel_attributes import CHANNELS, MIN_SCALE, TexelAttributes
+from stages.shared.splat.kernels.threads import run_together
+
+LEAST_WEIGHT = 1e-6  # a bone with less moves a texel by less than a thousandth of a millimetre
+
+_CHANNELS = np.array([channel for group in GROUPS for channel in group_channels(group)])
+
+Floats = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class PosedBuffers:
+    """Where a layer's posed Gaussians are written; views into the arrays of a whole outfit.
+
+    Attributes:
+        means: (N, 3) m, world. covariances: (N, 3, 3) m². opacities: (N,). colors: (N, 3) sRGB.
+    """
+
+    means: Floats
+    covariances: Floats
+    opacities: Floats
+    colors: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Replacement:
+    """Offsets and rotations that take the place of a texel's own: weights (N,), offsets (N, 3) m, quaternions
+    (N, 4). A texel of weight 0 keeps its own.
+    """
+
+    weights: Floats
+    offsets: Floats
+    quaternions: Floats
+
+
+class PosedLayer:
+    """A layer prepared for one body shape.
+
+    Arguments:
+        model: of the layer. betas: (10,) shape of the wearer.
+        replacements: swaps beneath garments, applied in this order.
+    """
+
+    def __init__(
+        self, model: TexelAttributes, betas: Tensor, replacements: tuple[Replacement, ...] = ()
+    ) -> None:
+        config, self.model = model.model_config, model
+        self.bases = _blocks(model)
+        self.rest = shaped_positions(model.maps, betas).numpy()
+        base = torch.cat(
+            [getattr(model, f"base_{name}").detach().reshape(len(model.maps), -1) for name in CHANNELS], 1
+        )
+        self.base = base.contiguous().numpy()
+        self.first, self.bones, self.weights = _sparse(model.maps.skin_weights.numpy())
+        self.limits = np.array(
+            [
+                config.offset_scale,
+                math.log(MIN_SCALE) if config.max_scale > 0 else -np.inf,
+                math.log(config.max_scale) if config.max_scale > 0 else np.inf,
+            ],
+            np.float32,
+        )
+        self.bounded = config.color == "sigmoid"
+        self.replacements = _stacked(replacements, len(self.rest))
+
+    def pose(
+        self, local_transforms: Tensor, transforms: Tensor, out: PosedBuffers, cosines: Tensor | None = None
+    ) -> None:
+        """Pose the layer.
+
+        Arguments:
+            local_transforms: (55, 4, 4) the pose without shape and root, for the decoder.
+            transforms: (55, 4, 4) posed_from_canonical, canonical to world.
+            out: overwritten. cosines: of view-conditioned models, see `TexelAttributes.residual`.
+        """
+        model = self.model
+        if isinstance(model, BlendshapeModel):
+            residual, coefficients = model.mean_residual, model.coefficients(local_transforms)
+        else:
+            residual, coefficients = model.residual(local_transforms, cosines), local_transforms.new_zeros(0)
+        matrices = np.ascontiguousarray(transforms.numpy()[:, :3, :], dtype=np.float32)
+        run_together(
+            pose_texels, residual.numpy(), coefficients.numpy(), *self.bases, _CHANNELS,
+            self.base, self.limits, self.bounded, self.rest,
+            self.first, self.bones, self.weights, matrices, *self.replacements,
+            out.means, out.covariances, out.opacities, out.colors,
+        )  # fmt: skip
+
+
+def _blocks(model: TexelAttributes) -> tuple[Floats, ...]:
+    """Bases of every group by blocks of texels (⌈N / BLOCK⌉, K, C, BLOCK): read in one run, in order."""
+    blocks = -(-len(model.maps) // BLOCK)
+    found = []
+    for group in GROUPS:
+        channels = len(group_channels(group))
+        if not isinstance(model, BlendshapeModel):
+            found.append(np.zeros((blocks, 0, channels, BLOCK), np.float32))
+            continue
+        basis = getattr(model, f"basis_{group}").detach().numpy()
+        padded = np.zeros((blocks * BLOCK, *basis.shape[1:]), np.float32)
+        padded[: len(basis)] = basis
+        by_block = padded.reshape(blocks, BLOCK, *basis.shape[1:])
+        found.append(np.ascontiguousarray(by_block.transpose(0, 3, 2, 1)))
+    return tuple(found)
+
+
+def _sparse(weights: Floats) -> tuple[NDArray[np.int32], NDArray[np.int32], Floats]:
+    """Rows (N, 55) without their zeros: where each row starts (N + 1,), its bones, their weights."""
+    kept = weights > LEAST_WEIGHT
+    first = np.concatenate([[0], np.cumsum(kept.sum(axis=1))]).astype(np.int32)
+    rows, bones = np.nonzero(kept)
+    values = weights[rows, bones]
+    # What is left out is shared by the rest, so that rows still sum to what they did.
+    totals = np.add.reduceat(values.astype(np.float64), first[:-1]) if len(values) else np.zeros(0)
+    values = values * (weights.sum(axis=1, dtype=np.float64) / totals)[rows]
+    return first, bones.astype(np.int32), values.astype(np.float32)
+
+
+def _stacked(replacements: tuple[Replacement, ...], count: int) -> tuple[Floats, Floats, Floats]:
+    """Weights (R, N), offsets (R, N, 3), quaternions (R, N, 4)."""
+    weights, offsets, quaternions = (
+        np.zeros((len(replacements), count, *shape), np.float32) for shape in ((), (3,), (4,))
+    )
+    for row, replacement in enumerate(replacements):
+        weights[row] = replacement.weights
+        offsets[row], quaternions[row] = replacement.offsets, replacement.quaternions
+    return weights, offsets, quaternions

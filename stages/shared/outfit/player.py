@@ -1,0 +1,69 @@
+"""An outfit prepared for playing: frame after frame of Gaussians, into the same memory.
+
+`Outfit.composite` is the plain version of the same thing, which allocates all it makes and estimates normals.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from stages.shared.avatar.compose import Composite
+from stages.shared.avatar.pose import frame_pose
+from stages.shared.avatar.posing import PosedBuffers, PosedLayer, Replacement
+from stages.shared.body import Poses
+from stages.shared.outfit.outfit import Outfit
+
+
+class Player:
+    """Poses an outfit fast. What depends on the wearer's shape but not on the pose is computed once, here.
+
+    Arguments:
+        outfit: what is worn.
+    """
+
+    def __init__(self, outfit: Outfit) -> None:
+        self.outfit = outfit
+        # Push-out needs normals, and baselines bring labels of their own: these take the plain way.
+        self._plain = bool(outfit.pushes) or any(layer.layer_ids is not None for layer in outfit.layers)
+        betas = torch.from_numpy(outfit.betas)
+        swaps = tuple(
+            Replacement(swap.weights[:, 0].numpy(), swap.offsets.numpy(), swap.quaternions.numpy())
+            for swap in outfit.swaps
+        )
+        self._layers = [
+            PosedLayer(layer.model, betas, swaps if layer.name == "body" else ()) for layer in outfit.layers
+        ]
+        counts = [len(layer.maps) for layer in outfit.layers]
+        total, names = sum(counts), outfit.names
+        means, opacities = np.zeros((total, 3), np.float32), np.zeros(total, np.float32)
+        covariances = np.zeros((total, 3, 3), np.float32)
+        features = np.zeros((total, 3 + len(names)), np.float32)
+        ids = np.repeat(np.arange(len(names)), counts)
+        features[np.arange(total), 3 + ids] = 1.0
+        self._composite = Composite(
+            means=torch.from_numpy(means),
+            covariances=torch.from_numpy(covariances),
+            opacities=torch.from_numpy(opacities),
+            features=torch.from_numpy(features),
+            layer_ids=torch.from_numpy(ids),
+            layers=names,
+        )
+        self._parts = []
+        for first, count in zip(np.cumsum([0, *counts[:-1]]), counts, strict=True):
+            own = slice(first, first + count)
+            self._parts.append(PosedBuffers(means[own], covariances[own], opacities[own], features[own, :3]))
+
+    @torch.no_grad()
+    def composite(self, poses: Poses, frame: int) -> Composite:
+        """All Gaussians in the pose of a row of `poses`; overwritten by the next call."""
+        if self._plain:
+            return self.outfit.composite(poses, frame)
+        rotations, translation = poses.rotations[frame], poses.translation[frame]
+        pose = frame_pose(
+            self.outfit.body_model,
+            *(torch.from_numpy(array) for array in (rotations, translation, self.outfit.betas)),
+        )
+        for posed, out in zip(self._layers, self._parts, strict=True):
+            posed.pose(pose.local_transforms, pose.transforms, out)
+        return self._composite

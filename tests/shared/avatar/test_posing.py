@@ -1,0 +1,109 @@
+"""The fused posing against the plain one: `attributes`, `swapped` and `pose_layer`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from stages.shared.avatar.blendshapes import BlendshapeModel, BlendshapeSizes
+from stages.shared.avatar.config import ModelConfig
+from stages.shared.avatar.deform import pose_layer, rotation_matrices
+from stages.shared.avatar.model import LayerModel
+from stages.shared.avatar.posing import PosedBuffers, PosedLayer, Replacement
+from stages.shared.avatar.texel_attributes import TexelAttributes
+from stages.shared.outfit.swap import Swap, swapped
+from tests.shared.avatar.tubes import tube
+
+BETAS = torch.linspace(-2, 2, 10)
+
+
+def _transforms() -> torch.Tensor:
+    generator = torch.Generator().manual_seed(5)
+    transforms = torch.eye(4).repeat(55, 1, 1)
+    quaternions = torch.nn.functional.normalize(torch.randn(55, 4, generator=generator), dim=1)
+    transforms[:, :3, :3] = rotation_matrices(quaternions)
+    transforms[:, :3, 3] = torch.randn(55, 3, generator=generator)
+    return transforms
+
+
+def _model(kind: str) -> TexelAttributes:
+    maps, model = tube(), None
+    if kind == "blendshapes":
+        model = BlendshapeModel(maps, ModelConfig(decoder="blendshapes"), BlendshapeSizes(5, 3, 2, 4))
+        model.fit_input([_transforms() * (1 + 0.01 * k) for k in range(4)])
+    else:
+        color = "linear" if kind == "linear" else "sigmoid"
+        config = ModelConfig(
+            width=0.0625, depth=2, style=8, color=color, max_scale=0.0 if kind == "linear" else 0.03
+        )
+        model = LayerModel(maps, config)
+    generator = torch.Generator().manual_seed(1)
+    with torch.no_grad():
+        for parameter in model.parameters():
+            parameter.add_(0.05 * torch.randn(parameter.shape, generator=generator))
+            parameter.requires_grad_(False)
+        model.base_quaternion[7] = 0.0
+    return model
+
+
+def _buffers(count: int) -> PosedBuffers:
+    # Views with a stride, as the arrays of a whole outfit are.
+    colors = np.full((count, 5), np.nan, np.float32)[:, :3]
+    shapes = ((count, 3), (count, 3, 3), (count,))
+    return PosedBuffers(*(np.full(shape, np.nan, np.float32) for shape in shapes), colors)
+
+
+@pytest.mark.parametrize("kind", ["blendshapes", "styleunet", "linear"])
+@pytest.mark.parametrize("swaps", [0, 2])
+def test_fused_posing_is_the_plain_one(kind: str, swaps: int) -> None:
+    model, pose, world = _model(kind), torch.eye(4).repeat(55, 1, 1), _transforms()
+    pose[4, :3, :3] = world[4, :3, :3]
+    count = len(model.maps)
+    generator = torch.Generator().manual_seed(2)
+    changes = []
+    for _ in range(swaps):
+        weights = torch.rand(count, 1, generator=generator).round(decimals=1)
+        offsets = 0.02 * torch.randn(count, 3, generator=generator)
+        quaternions = torch.nn.functional.normalize(torch.randn(count, 4, generator=generator), dim=1)
+        changes.append(Swap("upper", weights, offsets, quaternions))
+    with torch.no_grad():
+        attributes = swapped(model(pose), changes)
+        plain = pose_layer(model.maps, attributes, world, BETAS)
+        out = _buffers(count)
+        replaced = tuple(
+            Replacement(c.weights[:, 0].numpy(), c.offsets.numpy(), c.quaternions.numpy()) for c in changes
+        )
+        PosedLayer(model, BETAS, replaced).pose(pose, world, out)
+    np.testing.assert_allclose(out.means, plain.means, atol=5e-6)
+    # A slerp of nearly opposite quaternions is ill-conditioned; elsewhere covariances agree to rounding.
+    np.testing.assert_allclose(out.covariances, plain.covariances, atol=2e-7)
+    np.testing.assert_allclose(out.opacities, plain.opacities, atol=1e-6)
+    np.testing.assert_allclose(out.colors, plain.colors, atol=1e-6)
+
+
+def test_rows_of_weights_keep_their_sums_without_the_smallest() -> None:
+    model = _model("blendshapes")
+    weights = model.maps.skin_weights.clone()
+    weights[:, 7] = 5e-7
+    model.maps = replace(model.maps, skin_weights=weights)
+    layer = PosedLayer(model, BETAS)
+    sums = np.add.reduceat(layer.weights.astype(np.float64), layer.first[:-1])
+    np.testing.assert_allclose(sums, weights.double().sum(dim=1), atol=1e-6)
+    assert 7 not in layer.bones
+
+
+def test_one_and_two_threads_give_the_same_bytes() -> None:
+    model, world = _model("blendshapes"), _transforms()
+    layer, threads, results = PosedLayer(model, BETAS), torch.get_num_threads(), []
+    try:
+        for count in (1, 2):
+            torch.set_num_threads(count)
+            out = _buffers(len(model.maps))
+            layer.pose(torch.eye(4).repeat(55, 1, 1), world, out)
+            results.append(b"".join(a.tobytes() for a in (out.means, out.covariances, out.colors)))
+    finally:
+        torch.set_num_threads(threads)
+    assert results[0] == results[1]

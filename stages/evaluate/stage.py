@@ -6,7 +6,8 @@ Reads:
     the capture: images, masks, labels and poses of the views.
 Writes, into the output folder:
     evaluation.json: {"training": which, "novel_pose": {"trained": {score: mean}, "trained_without_first": …,
-    "baseline": …}, "novel_view": …}; views.json: every view's scores; <split>_<n>.png: truth, renders, errors, labels.
+    "baseline": …}, "novel_view": …}; views.json: every view's scores; <split>_<n>.png: truth, renders,
+    errors, labels.
 """
 
 from __future__ import annotations

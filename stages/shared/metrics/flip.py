@@ -46,7 +46,7 @@ def flip_map(prediction: Picture, truth: Picture) -> NDArray[np.float32]:
     check_pictures(prediction, truth)
     test, reference = (_opponent(_xyz(picture)) for picture in (prediction, truth))
     color = _redistributed(_hyab(_hunt_lab(_as_seen(test)), _hunt_lab(_as_seen(reference))))
-    feature = _feature_difference((test[..., 0] + 16) / 116, (reference[..., 0] + 16) / 116)
+    feature = _feature_difference(_lightness(test), _lightness(reference))
     return np.asarray(color ** (1 - feature), dtype=np.float32)
 
 
@@ -75,6 +75,11 @@ def _opponent(xyz: Floats) -> Floats:
     return np.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], axis=-1)
 
 
+def _lightness(opponent: Floats) -> Floats:
+    """0..1."""
+    return np.asarray((opponent[..., 0] + 16) / 116, dtype=np.float32)
+
+
 def _as_seen(opponent: Floats) -> Floats:
     """Blurred by the contrast sensitivity, as XYZ of colours a screen can show."""
     radius = int(np.ceil(3 * np.sqrt(0.04 / (2 * np.pi**2)) * PIXELS_PER_DEGREE))
@@ -89,7 +94,7 @@ def _as_seen(opponent: Floats) -> Floats:
             total += share * _filtered(image, profile / profile.sum(), profile / profile.sum())
             weight += share
         blurred[..., channel] = total / weight
-    y = (blurred[..., 0] + 16) / 116
+    y = _lightness(blurred)
     xyz = np.stack([y + blurred[..., 1] / 500, y, y - blurred[..., 2] / 200], axis=-1) * _WHITE
     rgb = np.clip(xyz @ _RGB_FROM_XYZ.T, 0, 1)
     return np.asarray(rgb @ _XYZ_FROM_RGB.T)

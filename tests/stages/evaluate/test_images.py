@@ -28,7 +28,7 @@ def _write(path: Path, picture: np.ndarray) -> None:
 
 @pytest.fixture
 def folders(tmp_path: Path) -> tuple[Path, Path, Path]:
-    """Pictures that differ from the truth by SHIFT inside a square and wildly outside; masks of the square."""
+    """Pictures that differ from the truth by SHIFT inside a square, wildly outside; masks of the square."""
     random = np.random.default_rng(0)
     mask = np.zeros((SIZE, SIZE), np.uint8)
     mask[10:30, 8:28] = 255

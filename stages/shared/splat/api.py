@@ -9,7 +9,7 @@ Argument names are those of gsplat. Backends: `reference` (plain torch, any floa
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
@@ -69,7 +69,7 @@ def rasterize(
     settings = SplatSettings(near, far, eps2d, antialiased)
     scene = make_scene(
         means, quats, scales, covars, opacities, colors, viewmats, Ks, background, width, height,
-        None, 0, median_depth, settings,
+        None, 0, (), 0, median_depth, settings,
     )  # fmt: skip
     return _pictures(_backend(backend, scene)(scene), viewmats.ndim == 3)[0]
 
@@ -87,6 +87,8 @@ def rasterize_layers(
     *,
     layer_ids: Tensor,
     layers: int,
+    alone: Sequence[int] | None = None,
+    alone_channels: int | None = None,
     covars: Tensor | None = None,
     background: Tensor | None = None,
     backend: str = "auto",
@@ -96,20 +98,28 @@ def rasterize_layers(
     antialiased: bool = False,
     median_depth: bool = False,
 ) -> LayeredRendering:
-    """Render all layers together, and each layer as if the others were not there, in one traversal.
+    """Render all layers together, and layers as if the others were not there, in one traversal.
 
-    layer_ids: (N,) integers in [0, layers). Everything else as in `rasterize`; the background is behind the
-    composite and behind every layer.
+    One projection, one sort and one walk over the Gaussians; a layer that is not asked for costs nothing.
+
+    Arguments:
+        layer_ids: (N,) integers in [0, layers).
+        alone: the layers to render alone, each at most once; all of them when None.
+        alone_channels: how many of the first features the layers alone have; all when None, 0 for alpha and
+            depth only.
+
+    Everything else as in `rasterize`; the background is behind the composite and behind every layer. The
+    result's `layers` are in the order of `alone`.
     """
     settings = SplatSettings(near, far, eps2d, antialiased)
     if layers < 1:
         raise UsageProblem(f"layers is {layers}.", "layers", "Ask for one layer at least.")
     scene = make_scene(
         means, quats, scales, covars, opacities, colors, viewmats, Ks, background, width, height,
-        layer_ids, layers, median_depth, settings,
+        layer_ids, layers, alone, alone_channels, median_depth, settings,
     )  # fmt: skip
-    composite, *alone = _pictures(_backend(backend, scene)(scene), viewmats.ndim == 3)
-    return LayeredRendering(composite, tuple(alone))
+    composite, *others = _pictures(_backend(backend, scene)(scene), viewmats.ndim == 3)
+    return LayeredRendering(composite, tuple(others))
 
 
 def contributions(
@@ -138,21 +148,22 @@ def contributions(
     return found[:, 0]
 
 
-def _pictures(stack: Rendering, batched: bool) -> list[Rendering]:
-    """(1 + L, B, H, W, ...) fields -> 1 + L renderings; without the camera axis when one camera was given.
+def _pictures(pictures: list[Rendering], batched: bool) -> list[Rendering]:
+    """Fields (B, H, W, ...), without the camera axis when one camera was given."""
+    if batched:
+        return pictures
+    return [
+        Rendering(
+            picture.features.squeeze(0),
+            picture.alpha.squeeze(0),
+            picture.depth.squeeze(0),
+            None if picture.median_depth is None else picture.median_depth.squeeze(0),
+        )
+        for picture in pictures
+    ]
 
-    Axes are taken apart, not indexed: the backward of an index would fill and add whole pictures of zeros.
-    """
 
-    def parts(field: Tensor) -> tuple[Tensor, ...]:
-        return (field if batched else field.squeeze(1)).unbind(0)
-
-    fields = [parts(stack.features), parts(stack.alpha), parts(stack.depth)]
-    medians = [None] * len(fields[0]) if stack.median_depth is None else parts(stack.median_depth)
-    return [Rendering(*picture) for picture in zip(*fields, medians, strict=True)]
-
-
-def _backend(name: str, scene: Scene) -> Callable[[Scene], Rendering]:
+def _backend(name: str, scene: Scene) -> Callable[[Scene], list[Rendering]]:
     """The function of a backend; imported when asked for, since each brings a heavy library."""
     if name not in BACKENDS:
         raise UsageProblem(

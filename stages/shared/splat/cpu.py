@@ -44,7 +44,8 @@ class Sizes:
     width: int
     height: int
     channels: int
-    layers: int | None
+    alone: int | None  # layers rendered alone, beside the composite
+    alone_channels: int
     median: bool
     settings: SplatSettings
     lanes: int
@@ -73,23 +74,15 @@ class Sizes:
         """A size that kernels are compiled for, or one they are told."""
         return layout.size_argument(size, self.specialised)
 
-    def kernel_sizes(self, layer_ids: np.ndarray | None) -> tuple[Any, ...]:
-        """The arguments width ... channels of the blending kernels."""
-        lanes = layout.lanes_argument(self.lanes)
-        return (
-            self.width,
-            self.height,
-            layer_ids,
-            self.layers,
-            layout.constants(self.lanes),
-            lanes,
-            self.argument(self.channels),
-        )
+    def kernel_sizes(self, own_pictures: np.ndarray | None) -> tuple[Any, ...]:
+        """The arguments width ... lanes of the blending kernels."""
+        lanes, constants = layout.lanes_argument(self.lanes), layout.constants(self.lanes)
+        return self.width, self.height, own_pictures, self.alone, constants, lanes
 
 
 @dataclass(frozen=True)
 class Gaussians:
-    """The inputs as flat float32 arrays; layer_ids int32."""
+    """The inputs as flat float32 arrays; own_pictures int32: from 1 on, 0 where only the composite counts."""
 
     means: np.ndarray  # (3N,)
     quats: np.ndarray | None  # (4N,)
@@ -97,7 +90,7 @@ class Gaussians:
     covars: np.ndarray | None  # (9N,)
     opacities: np.ndarray  # (N,)
     colors: np.ndarray  # (C N,)
-    layer_ids: np.ndarray | None = None  # (N,)
+    own_pictures: np.ndarray | None = None  # (N,)
 
     @property
     def placed(self) -> tuple[Any, ...]:
@@ -117,8 +110,27 @@ class View:
     starts: np.ndarray  # (tiles + 1,)
     gaussians: np.ndarray  # (E,) tile lists: rows
     slots: np.ndarray  # (E,) and where the gradient of each entry goes, Gaussian by Gaussian
-    blocks: np.ndarray  # (E,) blocks of the tile that each entry changed
-    layer_ids: np.ndarray | None  # (N,)
+    blocks: np.ndarray  # (E,) blocks of the tile in which each entry changed the composite
+    own_blocks: np.ndarray  # (E,) and its own layer's picture; empty without layers
+    own_pictures: np.ndarray | None  # (N,)
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """Of one camera, or their gradients: the composite's features, those of the layers alone, and of all."""
+
+    features: np.ndarray  # (H, W, C)
+    alone_features: np.ndarray  # (A, H, W, C')
+    alpha: np.ndarray  # (1 + A, H, W)
+    depth: np.ndarray  # (1 + A, H, W)
+
+    @classmethod
+    def of(cls, tensors: Iterable[Tensor], camera: int) -> Pictures:
+        return cls(*(tensor[camera].numpy() for tensor in tensors))
+
+    @property
+    def flat(self) -> tuple[np.ndarray, ...]:
+        return tuple(x.reshape(-1) for x in vars(self).values())
 
 
 def camera_numbers(viewmat: np.ndarray, intrinsics: np.ndarray, sizes: Sizes) -> np.ndarray:
@@ -163,44 +175,35 @@ def arrange(gaussians: Gaussians, camera: np.ndarray, background: np.ndarray, si
     starts = np.empty(sizes.tiles + 1, np.int64)
     run_together(count_tiles, order, boxes, sizes.columns, tallies)
     run_alone(place_tiles, tallies, starts)
-    rows, slots, blocks = (
-        np.empty(entries, np.int32),
-        np.empty(entries, np.int32),
-        np.empty(entries, np.uint32),
-    )
+    rows, slots = (np.empty(entries, np.int32) for _ in range(2))
+    blocks, own_blocks = (np.empty(size, np.uint32) for size in (entries, entries if sizes.alone else 0))
     run_together(fill_tiles, order, boxes, first_slots, sizes.columns, tallies, rows, slots)
     return View(
-        camera, background, records, counts, first_slots, starts, rows, slots, blocks, gaussians.layer_ids
-    )
+        camera, background, records, counts, first_slots, starts, rows, slots, blocks, own_blocks,
+        gaussians.own_pictures,
+    )  # fmt: skip
 
 
-def blend_view(
-    view: View,
-    features: np.ndarray,
-    alpha: np.ndarray,
-    depth: np.ndarray,
-    median: np.ndarray | None,
-    sizes: Sizes,
-) -> None:
-    """Fill the pictures (1 + L, H, W, ...) of one camera."""
-    lists = (view.starts, view.gaussians)
+def blend_view(view: View, pictures: Pictures, median: np.ndarray | None, sizes: Sizes) -> None:
+    """Fill the pictures of one camera; `median` is (1 + A, H, W)."""
+    lists, blocks = (view.starts, view.gaussians), (view.blocks, view.own_blocks)
     run_together(
-        blend, *lists, view.records, sizes.record, view.background, features.reshape(-1),
-        alpha.reshape(-1), depth.reshape(-1), view.blocks, *sizes.kernel_sizes(view.layer_ids),
-        sizes.argument(2 + sizes.channels),
+        blend, *lists, view.records, sizes.record, view.background, *pictures.flat, *blocks,
+        *sizes.kernel_sizes(view.own_pictures), sizes.argument(2 + sizes.channels),
+        sizes.argument(2 + sizes.alone_channels),
     )  # fmt: skip
     if median is not None:
         run_together(
-            median_depths, *lists, view.blocks, view.records, sizes.record, median.reshape(-1), sizes.width,
-            sizes.height, view.layer_ids, sizes.layers, layout.constants(sizes.lanes), sizes.lanes,
+            median_depths, *lists, *blocks, view.records, sizes.record, median.reshape(-1), sizes.width,
+            sizes.height, view.own_pictures, sizes.alone, layout.constants(sizes.lanes), sizes.lanes,
         )  # fmt: skip
 
 
 def view_backward(
     gaussians: Gaussians,
     view: View,
-    pictures: list[np.ndarray],
-    incoming: list[np.ndarray],
+    pictures: Pictures,
+    incoming: Pictures,
     outgoing: list[np.ndarray | None],
     add: bool,
     sizes: Sizes,
@@ -210,8 +213,9 @@ def view_backward(
     sums = _whole_lines(len(view.gaussians) * sizes.slot)
     run_together(
         blend_backward, view.starts, view.gaussians, view.slots, view.records, sizes.record, view.background,
-        *(x.reshape(-1) for x in pictures), view.blocks, *(x.reshape(-1) for x in incoming), sums,
-        *sizes.kernel_sizes(view.layer_ids), slot,
+        *pictures.flat, view.blocks, view.own_blocks, *incoming.flat, sums,
+        *sizes.kernel_sizes(view.own_pictures), sizes.argument(sizes.channels), slot,
+        sizes.argument(sizes.alone_channels),
     )  # fmt: skip
     turns = -(-len(gaussians.opacities) // (layout.GROUP * layout.GROUPS_PER_TURN))
     shares = np.empty(turns * CAMERA_GRADIENTS, np.float64)
@@ -236,13 +240,13 @@ class _OnceOnly(torch.autograd.Function):
 
 
 class _Rasterize(torch.autograd.Function):
-    """Pictures (B, 1 + L, H, W, ...) of checked float32 inputs."""
+    """Pictures with a leading axis of cameras, see `Pictures`, and the median depth; of float32 inputs."""
 
     @staticmethod
     def forward(
         ctx: Any,
         sizes: Sizes,
-        layer_ids: Tensor | None,
+        own_pictures: Tensor | None,
         means: Tensor,
         quats: Tensor | None,
         scales: Tensor | None,
@@ -253,24 +257,26 @@ class _Rasterize(torch.autograd.Function):
         Ks: Tensor,
         background: Tensor | None,
     ) -> tuple[Tensor, ...]:
-        inputs = (means, quats, scales, covars, opacities, colors, layer_ids)
+        inputs = (means, quats, scales, covars, opacities, colors, own_pictures)
         gaussians = _gaussians(inputs)
-        shape = (len(viewmats), 1 + (sizes.layers or 0), sizes.height, sizes.width)
-        features, alpha, depth = torch.empty((*shape, sizes.channels)), torch.empty(shape), torch.empty(shape)
-        median = torch.empty(shape if sizes.median else 0)
-        behind = torch.zeros(shape[0], sizes.channels) if background is None else background.contiguous()
+        cameras, others, place = len(viewmats), sizes.alone or 0, (sizes.height, sizes.width)
+        features = torch.empty(cameras, *place, sizes.channels)
+        alone_features = torch.empty(cameras, others, *place, sizes.alone_channels)
+        alpha, depth = (torch.empty(cameras, 1 + others, *place) for _ in range(2))
+        pictures = (features, alone_features, alpha, depth)
+        median = torch.empty(alpha.shape if sizes.median else 0)
+        behind = torch.zeros(cameras, sizes.channels) if background is None else background.contiguous()
         views = []
-        for i in range(shape[0]):
+        for i in range(cameras):
             camera = camera_numbers(viewmats[i].double().numpy(), Ks[i].double().numpy(), sizes)
             view = arrange(gaussians, camera, behind[i].numpy(), sizes)
-            middle = median[i].numpy() if sizes.median else None
-            blend_view(view, features[i].numpy(), alpha[i].numpy(), depth[i].numpy(), middle, sizes)
+            blend_view(view, Pictures.of(pictures, i), median[i].numpy() if sizes.median else None, sizes)
             views.append(view)
         if any(ctx.needs_input_grad):
             ctx.sizes, ctx.views = sizes, views
-            ctx.save_for_backward(*inputs, features, alpha, depth)
+            ctx.save_for_backward(*inputs, *pictures)
         ctx.mark_non_differentiable(median)
-        return features, alpha, depth, median
+        return *pictures, median
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
@@ -283,25 +289,27 @@ class _Rasterize(torch.autograd.Function):
     @staticmethod
     def _backward(ctx: Any, grads: tuple[Tensor, ...]) -> tuple[Tensor | None, ...]:
         sizes, views = ctx.sizes, ctx.views
-        *inputs, features, alpha, depth = ctx.saved_tensors
+        inputs, pictures = ctx.saved_tensors[:-4], ctx.saved_tensors[-4:]
         gaussians = _gaussians(inputs)
-        incoming = [x.contiguous() for x in grads[:3]]
+        incoming = [x.contiguous() for x in grads[:4]]
         outgoing = [None if x is None else torch.empty(x.shape) for x in inputs[:6]]
         arrays = [None if x is None else x.numpy().reshape(-1) for x in outgoing]
         g_viewmats, g_Ks = torch.zeros(len(views), 4, 4), torch.zeros(len(views), 3, 3)
         for i, view in enumerate(views):
-            pictures = [x[i].numpy() for x in (features, alpha, depth)]
-            g_pictures = [x[i].numpy() for x in incoming]
-            numbers = view_backward(gaussians, view, pictures, g_pictures, arrays, i > 0, sizes)
+            seen, wanted = Pictures.of(pictures, i), Pictures.of(incoming, i)
+            numbers = view_backward(gaussians, view, seen, wanted, arrays, i > 0, sizes)
             g_camera = torch.from_numpy(numbers.clip(-LARGEST, LARGEST)).float()
             g_viewmats[i, :3, :3], g_viewmats[i, :3, 3] = g_camera[:9].reshape(3, 3), g_camera[9:12]
             g_Ks[i, [0, 1, 0, 1], [0, 1, 2, 2]] = g_camera[12:]
         g_background = None
         if ctx.needs_input_grad[10]:
             # numpy's plain sum: one thread, so that its order is fixed.
-            g_background = torch.from_numpy(
-                np.einsum("bshwc,bshw->bc", incoming[0].numpy(), 1 - alpha.numpy())
+            through = 1 - pictures[2].numpy()
+            found = np.einsum("bhwc,bhw->bc", incoming[0].numpy(), through[:, 0])
+            found[:, : sizes.alone_channels] += np.einsum(
+                "bahwc,bahw->bc", incoming[1].numpy(), through[:, 1:]
             )
+            g_background = torch.from_numpy(found)
         return (None, None, *outgoing, g_viewmats, g_Ks, g_background)
 
 
@@ -310,11 +318,21 @@ def _gaussians(inputs: Iterable[Tensor | None]) -> Gaussians:
     return Gaussians(*arrays)
 
 
-def render_scene(scene: Scene) -> Rendering:
-    """Every camera, composite and layers: fields (1 + L, B, H, W, ...), in the dtype of the means."""
+def _own_pictures(scene: Scene) -> Tensor | None:
+    """(N,) int32: the picture of each Gaussian's layer, from 1 on; 0 where its layer is not asked for."""
+    if scene.layer_ids is None or not scene.alone:
+        return None
+    pictures = torch.zeros(scene.layers, dtype=torch.int32)
+    pictures[list(scene.alone)] = torch.arange(1, len(scene.alone) + 1, dtype=torch.int32)
+    return pictures[scene.layer_ids]
+
+
+def render_scene(scene: Scene) -> list[Rendering]:
+    """The composite, then the layers alone: fields (B, H, W, ...), in the dtype of the means."""
+    others = len(scene.alone) or None
     sizes = Sizes(
-        scene.width, scene.height, scene.colors.shape[1], scene.layers or None, scene.median, scene.settings,
-        layout.host_lanes(),
+        scene.width, scene.height, scene.colors.shape[1], others, scene.alone_channels, scene.median,
+        scene.settings, layout.host_lanes(),
     )  # fmt: skip
     inputs = (
         scene.means, scene.quats, scene.scales, scene.covars, scene.opacities, scene.colors, scene.viewmats,
@@ -322,25 +340,32 @@ def render_scene(scene: Scene) -> Rendering:
     )  # fmt: skip
     singles = [None if x is None else x.float() for x in inputs]
     try:
-        pictures = _Rasterize.apply(sizes, scene.layer_ids, *singles)
+        pictures = _Rasterize.apply(sizes, _own_pictures(scene), *singles)
     except RefusedGaussians:
         check_gaussians(scene)
         raise
-    features, alpha, depth, median = (x.to(scene.means.dtype) for x in pictures)
-    return Rendering(
-        features.transpose(0, 1),
-        alpha.transpose(0, 1),
-        depth.transpose(0, 1),
-        median.transpose(0, 1) if scene.median else None,
-    )
+    features, alone, alpha, depth, median = (x.to(scene.means.dtype) for x in pictures)
+    # Axes are taken apart, not indexed: the backward of an index would fill and add whole pictures of zeros.
+    medians = median.unbind(1) if scene.median else [None] * (1 + len(scene.alone))
+    rows = zip((features, *alone.unbind(1)), alpha.unbind(1), depth.unbind(1), medians, strict=True)
+    return [Rendering(*row) for row in rows]
 
 
-def warm_up(report: Report = SILENT, channels: tuple[int, ...] = (3,), layers: bool = False) -> None:
-    """Have the kernels for these channel counts ready, compiled or read from disk; says so when compiling."""
+def warm_up(
+    report: Report = SILENT, channels: tuple[int, ...] = (3,), alone_channels: int | None = None
+) -> None:
+    """Have the kernels for these channel counts ready, compiled or read from disk; says so when compiling.
+
+    alone_channels: of layers rendered alone; None for `rasterize`.
+    """
+    layered = alone_channels is not None
     with told_to(report.say):
         for count in channels:
-            sizes = Sizes(16, 16, count, 1 if layers else None, False, SplatSettings(), layout.host_lanes())
-            ids = torch.zeros(1, dtype=torch.int32) if layers else None
+            sizes = Sizes(
+                16, 16, count, 1 if layered else None, alone_channels or 0, False, SplatSettings(),
+                layout.host_lanes(),
+            )  # fmt: skip
+            own = torch.ones(1, dtype=torch.int32) if layered else None
             mean, camera = torch.tensor([[0.0, 0.0, 2.0]]), torch.eye(4)[None]
             intrinsics = torch.tensor([[[20.0, 0, 8], [0, 20, 8], [0, 0, 1]]])
             turned, scale = torch.tensor([[1.0, 0, 0, 0]]), torch.full((1, 3), 0.1)
@@ -348,4 +373,4 @@ def warm_up(report: Report = SILENT, channels: tuple[int, ...] = (3,), layers: b
                 colors = torch.ones(1, count, requires_grad=True)
                 arguments = (mean, *shape, torch.ones(1), colors, camera, intrinsics, None)
                 with torch.enable_grad():
-                    _Rasterize.apply(sizes, ids, *arguments)[1].sum().backward()
+                    _Rasterize.apply(sizes, own, *arguments)[2].sum().backward()

@@ -33,8 +33,8 @@ def why_not() -> str | None:
     return None
 
 
-def _picture(scene: Scene, members: Tensor | None) -> tuple[Tensor, Tensor, Tensor]:
-    """Features, alpha, depth (B, H, W, ...) of all Gaussians, or of the chosen rows."""
+def _picture(scene: Scene, members: Tensor | None, channels: int) -> tuple[Tensor, Tensor, Tensor]:
+    """The first features, alpha, depth (B, H, W, ...) of all Gaussians, or of the chosen rows."""
     rendering: Any = importlib.import_module("gsplat.rendering")
 
     def pick(array: Tensor | None) -> Tensor | None:
@@ -45,7 +45,7 @@ def _picture(scene: Scene, members: Tensor | None) -> tuple[Tensor, Tensor, Tens
 
     settings = scene.settings
     cameras = len(scene.viewmats)
-    colors = pick(scene.colors)
+    colors = pick(scene.colors[:, :channels])
     assert colors is not None
     pictures, alpha, _ = rendering.rasterization(
         means=pick(scene.means),
@@ -67,12 +67,13 @@ def _picture(scene: Scene, members: Tensor | None) -> tuple[Tensor, Tensor, Tens
     )
     features, depth = pictures[..., :-1], pictures[..., -1]
     if scene.background is not None:
-        features = features + (1 - alpha) * scene.background.to("cuda", torch.float32)[:, None, None]
+        behind = scene.background[:, None, None, :channels]
+        features = features + (1 - alpha) * behind.to("cuda", torch.float32)
     return features, alpha[..., 0], depth
 
 
-def render_scene(scene: Scene) -> Rendering:
-    """Every camera, composite and layers: fields (1 + L, B, H, W, ...), in the dtype of the means.
+def render_scene(scene: Scene) -> list[Rendering]:
+    """The composite, then the layers alone: fields (B, H, W, ...), in the dtype of the means.
 
     Raises MissingInput when there is no CUDA device or no gsplat, or when the median depth is asked for.
     """
@@ -86,13 +87,10 @@ def render_scene(scene: Scene) -> Rendering:
             'Use backend="cpu", or install the extra: pip install "gaussian-wardrobe[cuda]".',
         )
     check_gaussians(scene)
-    rows = [_picture(scene, None)]
+    rows = [_picture(scene, None, scene.colors.shape[1])]
     ids = scene.layer_ids
-    for layer in range(scene.layers):
+    for layer in scene.alone:
         assert ids is not None
-        rows.append(_picture(scene, ids == layer))
+        rows.append(_picture(scene, ids == layer, scene.alone_channels))
     like = scene.means
-    features, alpha, depth = (
-        torch.stack(field).to(like.device, like.dtype) for field in zip(*rows, strict=True)
-    )
-    return Rendering(features, alpha, depth)
+    return [Rendering(*(field.to(like.device, like.dtype) for field in row)) for row in rows]

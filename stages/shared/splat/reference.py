@@ -197,8 +197,8 @@ def render(
     )
 
 
-def render_scene(scene: Scene) -> Rendering:
-    """Every camera, composite and layers: fields (1 + L, B, H, W, ...), in the dtype of the means."""
+def render_scene(scene: Scene) -> list[Rendering]:
+    """The composite, then the layers alone: fields (B, H, W, ...), in the dtype of the means."""
     check_gaussians(scene)
     dtype, exact = scene.means.dtype, in_float64(scene)
     covars = exact.covars
@@ -206,15 +206,19 @@ def render_scene(scene: Scene) -> Rendering:
         covars = covariances(exact.quats, exact.scales)
     assert covars is not None
     shape, ids = (exact.width, exact.height), exact.layer_ids
-    rows: list[list[Rendering]] = [[] for _ in range(1 + exact.layers)]
+    composite: list[Rendering] = []
+    alone: list[list[Rendering]] = [[] for _ in exact.alone]
     for camera in range(len(exact.viewmats)):
         view, intrinsics = exact.viewmats[camera], exact.Ks[camera]
         gaussians = project(exact.means, covars, exact.opacities, view, intrinsics, *shape, exact.settings)
         background = None if exact.background is None else exact.background[camera]
-        for row, pictures in enumerate(rows):
-            members = None if ids is None or row == 0 else ids[gaussians.index] == row - 1
-            pictures.append(render(gaussians, exact.colors, background, *shape, members, exact.median))
-    return stacked(rows, dtype)
+        composite.append(render(gaussians, exact.colors, background, *shape, None, exact.median))
+        for layer, pictures in zip(exact.alone, alone, strict=True):
+            assert ids is not None
+            members, first = ids[gaussians.index] == layer, slice(exact.alone_channels)
+            behind = None if background is None else background[first]
+            pictures.append(render(gaussians, exact.colors[:, first], behind, *shape, members, exact.median))
+    return stacked([composite, *alone], dtype)
 
 
 def in_float64(scene: Scene) -> Scene:

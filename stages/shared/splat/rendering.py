@@ -34,18 +34,20 @@ class Rendering:
 
 @dataclass(frozen=True)
 class LayeredRendering:
-    """The composite of all layers, and each layer as if the others were not there."""
+    """The composite of all layers, and the layers asked for, each as if the others were not there."""
 
     composite: Rendering
     layers: tuple[Rendering, ...]
 
 
-def stacked(rows: list[list[Rendering]], dtype: torch.dtype) -> Rendering:
-    """Renderings [1 + L][B] -> one with fields (1 + L, B, H, W, ...)."""
+def stacked(rows: list[list[Rendering]], dtype: torch.dtype) -> list[Rendering]:
+    """Renderings [1 + A][B] of single cameras -> 1 + A with fields (B, H, W, ...)."""
 
-    def field(name: str) -> Tensor:
-        found = torch.stack([torch.stack([getattr(picture, name) for picture in row]) for row in rows])
-        return found.to(dtype)
+    def joined(row: list[Rendering]) -> Rendering:
+        def field(name: str) -> Tensor:
+            return torch.stack([getattr(picture, name) for picture in row]).to(dtype)
 
-    median = field("median_depth") if rows[0][0].median_depth is not None else None
-    return Rendering(field("features"), field("alpha"), field("depth"), median)
+        median = field("median_depth") if row[0].median_depth is not None else None
+        return Rendering(field("features"), field("alpha"), field("depth"), median)
+
+    return [joined(row) for row in rows]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -19,7 +20,8 @@ class Scene:
 
     means (N, 3) m world; quats (N, 4) wxyz and scales (N, 3) m, or covars (N, 3, 3) m^2; opacities (N,);
     colors (N, C); viewmats (B, 4, 4) camera_from_world; Ks (B, 3, 3) px; background (B, C) or None;
-    layer_ids (N,) int32 in [0, L) or None; layers: L, 0 when only the composite is wanted.
+    layer_ids (N,) int32 in [0, L) or None; layers: L, 0 when only the composite is wanted; alone: the layers
+    to render alone, in this order, with the first `alone_channels` features.
     """
 
     means: Tensor
@@ -35,6 +37,8 @@ class Scene:
     height: int
     layer_ids: Tensor | None
     layers: int
+    alone: tuple[int, ...]
+    alone_channels: int
     median: bool
     settings: SplatSettings
 
@@ -53,6 +57,8 @@ def make_scene(
     height: int,
     layer_ids: Tensor | None,
     layers: int,
+    alone: Sequence[int] | None,
+    alone_channels: int | None,
     median: bool,
     settings: SplatSettings,
 ) -> Scene:
@@ -104,11 +110,14 @@ def make_scene(
         if array is not None:
             _check_finite(name, array)
     _check_intrinsics(Ks)
+    chosen = tuple(range(layers) if alone is None else alone)
+    features = c if alone_channels is None else alone_channels
     if layers:
         layer_ids = _checked_layers(layer_ids, n, layers)
+        _check_alone(chosen, layers, features, c)
     return Scene(
         means, quats, scales, covars, opacities, colors, viewmats, Ks, background,
-        int(width), int(height), layer_ids, layers, median, settings,
+        int(width), int(height), layer_ids, layers, chosen, features if chosen else 0, median, settings,
     )  # fmt: skip
 
 
@@ -156,6 +165,21 @@ def _checked_layers(layer_ids: Tensor | None, n: int, layers: int) -> Tensor:
         bad = ((layer_ids < 0) | (layer_ids >= layers)).nonzero()[0].tolist()
         raise _bad_row("layer_ids", bad, f"is outside [0, {layers})")
     return layer_ids.to(torch.int32)
+
+
+def _check_alone(alone: tuple[int, ...], layers: int, features: int, channels: int) -> None:
+    if len(set(alone)) != len(alone) or not all(0 <= layer < layers for layer in alone):
+        raise UsageProblem(
+            f"Layers {list(alone)} of {layers} cannot be rendered alone.",
+            "alone",
+            f"Give different numbers from 0 to {layers - 1}.",
+        )
+    if not 0 <= features <= channels:
+        raise UsageProblem(
+            f"Layers alone cannot have {features} of {channels} features.",
+            "alone_channels",
+            f"Use 0 (alpha and depth only) to {channels}.",
+        )
 
 
 def _bad_row(name: str, index: list[int], problem: str) -> BadData:

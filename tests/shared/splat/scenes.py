@@ -35,6 +35,8 @@ class Case:
     background: Tensor | None = None
     layer_ids: Tensor | None = None
     layers: int = 0
+    alone: tuple[int, ...] | None = None
+    alone_channels: int | None = None
     antialiased: bool = False
 
     def to(self, dtype: torch.dtype) -> Case:
@@ -49,7 +51,7 @@ class Case:
         return replace(self, **leaves)
 
     def render(self, backend: str, **options: Any) -> list[Rendering]:
-        """The composite, then each layer alone."""
+        """The composite, then the layers alone."""
         arguments = (
             self.means, self.quats, self.scales, self.opacities, self.colors, self.viewmats, self.Ks,
             self.width, self.height,
@@ -64,7 +66,10 @@ class Case:
         if not self.layers:
             return [rasterize(*arguments, **options)]
         assert self.layer_ids is not None
-        found = rasterize_layers(*arguments, layer_ids=self.layer_ids, layers=self.layers, **options)
+        chosen = {"alone": self.alone, "alone_channels": self.alone_channels}
+        found = rasterize_layers(
+            *arguments, layer_ids=self.layer_ids, layers=self.layers, **chosen, **options
+        )
         return [found.composite, *found.layers]
 
 

@@ -281,6 +281,15 @@ def test_layer_ids_are_checked():
 
 
 @pytest.mark.parametrize(
+    "change",
+    [{"alone": (0, 2)}, {"alone": (1, 1)}, {"alone": (-1,)}, {"alone_channels": 4}, {"alone_channels": -1}],
+)
+def test_layers_that_cannot_be_rendered_alone_are_refused(change):
+    with pytest.raises(UsageProblem, match="alone"):
+        replace(random_case(18, n=6, layers=2), **change).render("cpu")
+
+
+@pytest.mark.parametrize(
     "option", [{"near": 0.0}, {"near": 2.0, "far": 1.0}, {"eps2d": 0.0}, {"far": float("nan")}]
 )
 def test_impossible_options_are_refused(option):

@@ -46,6 +46,25 @@ def test_layers_of_an_opaque_surface():
     compare(replace(case, layer_ids=torch.arange(1500, dtype=torch.int32) % 2, layers=2))
 
 
+@pytest.mark.parametrize("alone, channels, given", [((1,), 0, 3), ((2, 0), 2, 9), ((), 3, 9)])
+def test_only_the_layers_asked_for(alone, channels, given):
+    case = random_case(24, n=150, channels=given, layers=3)
+    compare(replace(case, alone=alone, alone_channels=channels))
+
+
+def test_chosen_layers_are_those_of_all():
+    """In the order asked for, with the first features; the composite does not notice."""
+    case = random_case(25, n=200, channels=9, cameras=2, layers=3)
+    composite, *layers = case.render("cpu", median_depth=True)
+    got, second, first = replace(case, alone=(2, 0), alone_channels=3).render("cpu", median_depth=True)
+    assert torch.equal(second.features, layers[2].features[..., :3])
+    assert torch.equal(first.features, layers[0].features[..., :3])
+    for a, b in ((composite, got), (layers[2], second), (layers[0], first)):
+        for field in ("alpha", "depth", "median_depth"):
+            assert torch.equal(getattr(a, field), getattr(b, field))
+    assert torch.equal(composite.features, got.features)
+
+
 def test_batched_cameras():
     compare(random_case(8, cameras=3))
 

@@ -72,7 +72,7 @@ def _hot_steps(channels: int, lanes: int) -> tuple[float, float]:
 
 def _list_costs(count: int, channels: int, lanes: int) -> tuple[float, float]:
     """Least seconds to blend one tile with a list of `count` Gaussians, forward and backward."""
-    sizes = cpu.Sizes(layout.TILE, layout.TILE, channels, None, False, SplatSettings(), lanes)
+    sizes = cpu.Sizes(layout.TILE, layout.TILE, channels, None, 0, False, SplatSettings(), lanes)
     ones = np.ones(count, np.float32)
     centers, unturned = np.array([0, 0, 2], np.float32), np.array([1, 0, 0, 0], np.float32)
     gaussians = cpu.Gaussians(
@@ -83,15 +83,17 @@ def _list_costs(count: int, channels: int, lanes: int) -> tuple[float, float]:
     black = np.zeros(channels, np.float32)
     view = cpu.arrange(gaussians, cpu.camera_numbers(np.eye(4), intrinsics, sizes), black, sizes)
     shape = (1, layout.TILE, layout.TILE)
-    features, alpha, depth = (np.ones((*shape, *c), np.float32) for c in ((channels,), (), ()))
+    pictures = cpu.Pictures(
+        np.ones((*shape, channels), np.float32), np.empty((0, *shape[1:], 0), np.float32),
+        np.ones(shape, np.float32), np.ones(shape, np.float32),
+    )  # fmt: skip
     grads: list[Any] = [
         None if x is None else np.empty_like(x) for x in (*gaussians.placed, gaussians.colors)
     ]
     seconds = []
     for _ in range(200):
         with watch() as phases:
-            cpu.blend_view(view, features, alpha, depth, None, sizes)
-            pictures = [features, alpha, depth]
+            cpu.blend_view(view, pictures, None, sizes)
             cpu.view_backward(gaussians, view, pictures, pictures, grads, False, sizes)
         seconds.append((phases["blend"], phases["blend_backward"]))
     forward, backward = (min(column) for column in zip(*seconds, strict=True))

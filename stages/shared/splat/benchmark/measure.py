@@ -109,7 +109,7 @@ def _work(
     pairs cost time; `hot`, the blending steps at their cost in the first-level cache with no lane idle.
     """
     lanes = limit.lanes
-    sizes = cpu.Sizes(case.size, case.size, case.channels, None, False, SplatSettings(), lanes)
+    sizes = cpu.Sizes(case.size, case.size, case.channels, None, 0, False, SplatSettings(), lanes)
     arrays = (figure.means, figure.quats, figure.scales, None, figure.opacities, figure.colors)
     gaussians = cpu.Gaussians(*(None if x is None else x.reshape(-1).numpy() for x in arrays))  # type: ignore[arg-type]
     camera = cpu.camera_numbers(view.double().numpy(), intrinsics.double().numpy(), sizes)
@@ -120,10 +120,10 @@ def _work(
         layout.constants(lanes), layout.lanes_argument(lanes), counts,
     )  # fmt: skip
     pairs, steps = (int(x) for x in counts.sum(0))
-    features, alpha, depth = (
-        torch.empty(1, case.size, case.size, *c).numpy() for c in ((case.channels,), (), ())
-    )
-    cpu.blend_view(placed, features, alpha, depth, None, sizes)
+    shape = (1, case.size, case.size)
+    features, alpha, depth = (np.empty((*shape, *c), np.float32) for c in ((case.channels,), (), ()))
+    nothing = np.empty((0, *shape[1:], 0), np.float32)
+    cpu.blend_view(placed, cpu.Pictures(features, nothing, alpha, depth), None, sizes)
     backward_steps = int(np.bitwise_count(placed.blocks).sum())
     entries = len(placed.gaussians)
     covered = int((alpha > 0).sum())

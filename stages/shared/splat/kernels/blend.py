@@ -2,8 +2,8 @@
 
 First every Gaussian is tested against all blocks of the tile at once (a lane is a block). Then each block
 walks the Gaussians that can reach it front to back, its pixels in registers, until all of them are opaque.
-State between stretches lies in L1: for each picture (the composite, then each layer alone) and block the
-planes transmittance, depth, colours.
+State between stretches lies in L1: for each picture (the composite, then the layers alone) and block the
+planes transmittance, depth, colours. Layers alone may have fewer colours than the composite.
 """
 
 from __future__ import annotations
@@ -59,19 +59,24 @@ _SLACK = np.float32(0.01)
 
 
 @inlined
-def _start_tile(state, live, sets, planes, lanes, top, left, width, height):
-    """Empty pixels; those outside the image are stopped from the beginning."""
+def _blocks_inside(lanes, top, left, width, height):
+    """Bits of a tile's blocks that reach into the image."""
     count = len(lanes)
     inside = 0
     for block in range(TILE_PIXELS // count):
         x, y = block_corner(block, count, top, left)
         if x < width and y < height:
             inside |= 1 << block
-    for picture in range(sets):
-        live[picture] = inside
-    for place in range(0, sets * planes * TILE_PIXELS, count):
+    return inside
+
+
+@inlined
+def _start_pictures(state, base, sets, planes, lanes, top, left, width, height):
+    """Empty pixels of `sets` pictures; those outside the image are stopped from the beginning."""
+    count = len(lanes)
+    for place in range(base, base + sets * planes * TILE_PIXELS, count):
         store(state, place, spread(ZERO, lanes))
-    for place in range(0, sets * planes * TILE_PIXELS, planes * count):
+    for place in range(base, base + sets * planes * TILE_PIXELS, planes * count):
         store(state, place, spread(ONE, lanes))
     if top + TILE > height or left + TILE > width:
         for picture in range(sets):
@@ -79,41 +84,38 @@ def _start_tile(state, live, sets, planes, lanes, top, left, width, height):
                 for column in range(TILE):
                     if top + row >= height or left + column >= width:
                         place = pixel_place(row, column, count, planes)
-                        state[picture * planes * TILE_PIXELS + place] = -ONE
+                        state[base + picture * planes * TILE_PIXELS + place] = -ONE
 
 
 @inlined
-def _finish_tile(
-    state, sets, planes, channels, count, top, left, width, height, background, features, alpha, depth
+def _finish_picture(
+    state, base, picture, planes, count, top, left, width, height, background, features, first, alpha, depth
 ):  # fmt: skip
-    """Write a tile's pixels, background behind them."""
-    for picture in range(sets):
-        base = picture * planes * TILE_PIXELS
-        for row in range(top, min(top + TILE, height)):
-            for column in range(left, min(left + TILE, width)):
-                place = base + pixel_place(row - top, column - left, count, planes)
-                pixel = (picture * height + row) * width + column
-                remaining = abs(at(state, place))
-                set_at(alpha, pixel, ONE - remaining)
-                set_at(depth, pixel, at(state, place + count))
-                for c in range(length(channels)):
-                    value = at(state, place + (2 + c) * count) + remaining * at(background, c)
-                    set_at(features, pixel * length(channels) + c, value)
+    """Write a tile's pixels of one picture, background behind them; its colours begin at features[first]."""
+    channels = length(planes) - 2
+    for row in range(top, min(top + TILE, height)):
+        for column in range(left, min(left + TILE, width)):
+            place = base + pixel_place(row - top, column - left, count, length(planes))
+            pixel = row * width + column
+            remaining = abs(at(state, place))
+            set_at(alpha, picture * height * width + pixel, ONE - remaining)
+            set_at(depth, picture * height * width + pixel, at(state, place + count))
+            for c in range(channels):
+                value = at(state, place + (2 + c) * count) + remaining * at(background, c)
+                set_at(features, first + pixel * channels + c, value)
 
 
 @inlined
-def _empty_tile(sets, top, left, width, height, background_row, features, alpha, depth):
-    """The background where nothing is; `background_row` is a row of a tile of it."""
-    channels = len(background_row) // TILE
-    across = min(TILE, width - left)
-    for picture in range(sets):
-        for row in range(top, min(top + TILE, height)):
-            pixel = (picture * height + row) * width + left
-            for i in range(across):
-                set_at(alpha, pixel + i, ZERO)
-                set_at(depth, pixel + i, ZERO)
-            for i in range(across * channels):
-                set_at(features, pixel * channels + i, at(background_row, i))
+def _empty_picture(picture, planes, top, left, width, height, background, features, first, alpha, depth):
+    """The background where nothing is."""
+    across, channels = min(TILE, width - left), length(planes) - 2
+    for row in range(top, min(top + TILE, height)):
+        pixel = row * width + left
+        for i in range(across):
+            set_at(alpha, picture * height * width + pixel + i, ZERO)
+            set_at(depth, picture * height * width + pixel + i, ZERO)
+            for c in range(channels):
+                set_at(features, first + (pixel + i) * channels + c, at(background, c))
 
 
 @inlined
@@ -144,66 +146,75 @@ def reached_blocks(records, record, constants, top, left, lanes):
 
 
 @inlined
-def _add(pixels, records, record, alpha, number, channels):
-    """Put a Gaussian behind what a block of one picture has so far; returns which lanes are still open."""
-    weight, after, still_open = pass_through(get(pixels, 0), alpha, number)
-    put(pixels, 0, after)
-    for channel in range(length(channels) + 1):
-        put(pixels, 1 + channel, fma(weight, at(records, record + DEPTH + channel), get(pixels, 1 + channel)))
-    return still_open
-
-
-@inlined
-def _add_layered(
-    pixels, state, live, bit, own, set_size, block_place, records, record, alpha, keep, number, lanes,
-    channels,
+def _walk(
+    state, base, planes, pixels, members, reached, block, gaussians, begin, end, records, stride, blocks,
+    constants, number, top, left, lanes,
 ):  # fmt: skip
-    """The same for the composite and the Gaussian's own layer: (changed a pixel, a picture is open here)."""
-    touched = 0
-    if live[0] & bit != 0:
-        still_open = _add(pixels, records, record, alpha, number, channels)
-        touched |= bits(still_open & keep)
-        if bits(still_open) == 0:
-            live[0] &= ~bit
-    if live[own] & bit != 0:
-        alone = bank_at(state, own * set_size + block_place, lanes)
-        still_open = _add(alone, records, record, alpha, number, channels)
-        touched |= bits(still_open & keep)
-        if bits(still_open) == 0:
-            live[own] &= ~bit
-    anything = np.int64(0)
-    for picture in range(len(live)):
-        anything |= live[picture] & bit
-    return touched != 0, anything != 0
+    """Blend a stretch's Gaussians into one block of one picture; whether the block is still open.
+
+    base: where the block begins in `state`. members: None, or which entries the picture shows, a bit each.
+    """
+    count = len(lanes)
+    bit = 1 << block
+    corner_x, corner_y = block_corner(block, count, top, left)
+    pixel_x = load(constants, NUMBERS * count, lanes) + np.float32(corner_x)
+    pixel_y = load(constants, (NUMBERS + 1) * count, lanes) + np.float32(corner_y)
+    kept = bank_at(state, base, lanes)
+    for plane in range(length(planes)):
+        put(pixels, plane, get(kept, plane))
+    any_open = True
+    for word in range(begin, end, 64):
+        todo = 0
+        for part in range(0, 64, count):
+            todo |= bit_column(reached, word - begin + part, bit, lanes) << part
+        if members is not None:
+            todo &= at(members, (word - begin) >> 6)
+        while todo != 0 and any_open:
+            entry = word + lowest_bit(todo)
+            todo &= todo - 1
+            record = at(gaussians, entry) * stride
+            _, _, _, _, _, alpha, keep = falloff(pixel_x, pixel_y, records, record, number, lanes)
+            weight, after, still_open = pass_through(get(pixels, 0), alpha, number)
+            put(pixels, 0, after)
+            for plane in range(1, length(planes)):
+                value = at(records, record + DEPTH - 1 + plane)
+                put(pixels, plane, fma(weight, value, get(pixels, plane)))
+            any_open = bits(still_open) != 0
+            touched = np.uint32(bits(still_open & keep) != 0)
+            # Without a branch: it would be mispredicted every fourth time.
+            set_at(blocks, entry, at(blocks, entry) | (touched << np.uint32(block)))
+    for plane in range(length(planes)):
+        put(kept, plane, get(pixels, plane))
+    return any_open
 
 
 @kernel
 def blend(
-    turn, starts, gaussians, records, stride, background, features, alpha, depth, blocks, width, height,
-    layer_ids, layers, constants, lanes, channels, planes,
+    turn, starts, gaussians, records, stride, background, features, alone_features, alpha, depth, blocks,
+    own_blocks, width, height, own_pictures, alone, constants, lanes, planes, own_planes,
 ):  # fmt: skip
     """Blend the tiles this thread gets.
 
-    starts (tiles + 1,), gaussians (E,) rows of records: the tile lists, nearest first. blocks (E,) uint32:
-    gets the blocks in which an entry changed a pixel, one bit each, all that the backward pass visits.
-    layer_ids, layers: None, or the layer of
-    each row and how many there are, rendered alone beside the composite. planes: 2 + channels, as a size.
+    starts (tiles + 1,), gaussians (E,) rows of records: the tile lists, nearest first. blocks, own_blocks
+    (E,) uint32: get the blocks in which an entry changed a pixel of the composite, and of its own layer's
+    picture, one bit each: all that the backward pass visits. own_pictures, alone: None, or for each row the
+    number of its layer's picture, from 1 on (0: only the composite shows it), and how many layers are
+    rendered alone beside the composite. planes, own_planes: 2 + channels of either, as sizes.
     """
     count = len(lanes)
     columns = (width + TILE - 1) // TILE
     tiles = len(starts) - 1
-    sets = 1 if layers is None else 1 + layers
-    depth_and_colors = length(planes)
-    set_size = depth_and_colors * TILE_PIXELS
-    state = np.empty(sets * set_size, np.float32)
-    live = np.empty(sets, np.int64)
+    others = 0 if alone is None else alone
+    size, own_size = length(planes) * count, length(own_planes) * count
+    # In `state` the composite comes first, then the others, which may have fewer planes.
+    first_other, other_size = length(planes) * TILE_PIXELS, length(own_planes) * TILE_PIXELS
+    state = np.empty(first_other + others * other_size, np.float32)
+    live = np.empty(1 + others, np.int64)
     reached = np.empty(_STRETCH, np.int32)
-    pixels = bank(planes, np.empty(depth_and_colors * count, np.float32), lanes)
-    background_row = np.empty(TILE * len(background), np.float32)
-    for i in range(len(background_row)):
-        background_row[i] = background[i % len(background)]
+    members = np.empty((1 + others, _STRETCH // 64), np.int64)
+    pixels = bank(planes, np.empty(size, np.float32), lanes)
+    own_pixels = bank(own_planes, np.empty(own_size, np.float32), lanes)
     number = numbers(constants, lanes)
-    lane_x, lane_y = load(constants, NUMBERS * count, lanes), load(constants, (NUMBERS + 1) * count, lanes)
     while True:
         tile = take(turn)
         if tile >= tiles:
@@ -211,18 +222,29 @@ def blend(
         first, last = starts[tile], starts[tile + 1]
         top, left = (tile // columns) * TILE, (tile % columns) * TILE
         if first == last:
-            _empty_tile(sets, top, left, width, height, background_row, features, alpha, depth)
+            _empty_picture(0, planes, top, left, width, height, background, features, 0, alpha, depth)
+            for other in range(others):
+                _empty_picture(
+                    1 + other, own_planes, top, left, width, height, background, alone_features,
+                    other * height * width * (length(own_planes) - 2), alpha, depth,
+                )  # fmt: skip
             continue
-        _start_tile(state, live, sets, depth_and_colors, lanes, top, left, width, height)
+        live[:] = _blocks_inside(lanes, top, left, width, height)
+        _start_pictures(state, 0, 1, length(planes), lanes, top, left, width, height)
+        if alone is not None:
+            _start_pictures(state, first_other, others, length(own_planes), lanes, top, left, width, height)
         for begin in range(first, last, _STRETCH):
             end = min(begin + _STRETCH, last)
-            anything = live[0]
-            if layers is not None:
-                for picture in range(1, sets):
-                    anything |= live[picture]
+            anything = at(live, 0)
+            if alone is not None:
+                members[:] = 0
+                for picture in range(1, 1 + others):
+                    anything |= at(live, picture)
             if anything == 0:
                 for entry in range(begin, last):
                     blocks[entry] = 0
+                    if alone is not None:
+                        own_blocks[entry] = 0
                 break
             union = 0
             for entry in range(begin, end):
@@ -230,10 +252,11 @@ def blend(
                     prefetch(records, at(gaussians, entry + AHEAD) * stride)
                 set_at(blocks, entry, np.uint32(0))
                 record = at(gaussians, entry) * stride
-                todo = live[0]
-                if layers is not None:
-                    todo |= live[1 + np.int64(at(layer_ids, at(gaussians, entry)))]
-                todo &= reached_blocks(records, record, constants, top, left, lanes)
+                if alone is not None:
+                    set_at(own_blocks, entry, np.uint32(0))
+                    own = np.int64(at(own_pictures, at(gaussians, entry)))
+                    members[own, (entry - begin) >> 6] |= 1 << ((entry - begin) & 63)
+                todo = anything & reached_blocks(records, record, constants, top, left, lanes)
                 union |= todo
                 set_at(reached, entry - begin, np.int32(todo))
             for rest in range(end - begin, (end - begin + 63) & ~63):
@@ -242,67 +265,41 @@ def blend(
                 block = lowest_bit(union)
                 union &= union - 1
                 bit = 1 << block
-                corner_x, corner_y = block_corner(block, count, top, left)
-                pixel_x, pixel_y = lane_x + np.float32(corner_x), lane_y + np.float32(corner_y)
-                kept = bank_at(state, block * depth_and_colors * count, lanes)
-                for plane in range(length(planes)):
-                    put(pixels, plane, get(kept, plane))
-                any_open = True
-                for word in range(begin, end, 64):
-                    todo = 0
-                    for part in range(0, 64, count):
-                        todo |= bit_column(reached, word - begin + part, bit, lanes) << part
-                    while todo != 0 and any_open:
-                        entry = word + lowest_bit(todo)
-                        todo &= todo - 1
-                        record = at(gaussians, entry) * stride
-                        _, _, _, _, _, opaque, keep = falloff(
-                            pixel_x, pixel_y, records, record, number, lanes
-                        )
-                        if layers is None:
-                            still_open = _add(pixels, records, record, opaque, number, channels)
-                            touched = bits(still_open & keep) != 0
-                            any_open = bits(still_open) != 0
-                        else:
-                            own = 1 + np.int64(at(layer_ids, at(gaussians, entry)))
-                            touched, any_open = _add_layered(
-                                pixels, state, live, bit, own, set_size, block * depth_and_colors * count,
-                                records, record, opaque, keep, number, lanes, channels,
-                            )  # fmt: skip
-                        # Without a branch: it would be mispredicted every fourth time.
-                        set_at(blocks, entry, at(blocks, entry) | (np.uint32(touched) << np.uint32(block)))
-                if layers is None and not any_open:
+                if at(live, 0) & bit != 0 and not _walk(
+                    state, block * size, planes, pixels, None, reached, block, gaussians, begin, end, records,
+                    stride, blocks, constants, number, top, left, lanes,
+                ):  # fmt: skip
                     live[0] &= ~bit
-                for plane in range(length(planes)):
-                    put(kept, plane, get(pixels, plane))
-        _finish_tile(
-            state, sets, depth_and_colors, channels, count, top, left, width, height, background, features,
-            alpha, depth,
-        )  # fmt: skip
+                if alone is not None:
+                    for picture in range(1, 1 + others):
+                        place = first_other + (picture - 1) * other_size + block * own_size
+                        if at(live, picture) & bit != 0 and not _walk(
+                            state, place, own_planes, own_pixels, members[picture], reached, block, gaussians,
+                            begin, end, records, stride, own_blocks, constants, number, top, left, lanes,
+                        ):  # fmt: skip
+                            live[picture] &= ~bit
+        _finish_picture(
+            state, 0, 0, planes, count, top, left, width, height, background, features, 0, alpha, depth
+        )
+        for other in range(others):
+            _finish_picture(
+                state, first_other + other * other_size, 1 + other, own_planes, count, top, left, width,
+                height, background, alone_features, other * height * width * (length(own_planes) - 2), alpha,
+                depth,
+            )  # fmt: skip
 
 
 @kernel
 def median_depths(
-    turn,
-    starts,
-    gaussians,
-    blocks,
-    records,
-    stride,
-    depth,
-    width,
-    height,
-    layer_ids,
-    layers,
-    constants,
-    count,
-):
+    turn, starts, gaussians, blocks, own_blocks, records, stride, depth, width, height, own_pictures, alone,
+    constants, count,
+):  # fmt: skip
     """Camera depth at which each pixel's transmittance first falls to one half; 0 where it never does.
 
     A plain loop over pixels: nobody differentiates it, and it is made only when asked for. Runs after blend.
     """
     columns = (width + TILE - 1) // TILE
-    sets = 1 if layers is None else 1 + layers
+    sets = 1 if alone is None else 1 + alone
     cut = constants[7 * count]
     while True:
         tile = take(turn)
@@ -315,13 +312,10 @@ def median_depths(
                     before, found = ONE, ZERO
                     for entry in range(starts[tile], starts[tile + 1]):
                         r = gaussians[entry] * stride
-                        if blocks[entry] == 0:
-                            continue
-                        if (
-                            layer_ids is not None
-                            and picture > 0
-                            and layer_ids[gaussians[entry]] != picture - 1
-                        ):
+                        shown = blocks[entry] != 0
+                        if alone is not None and picture > 0:
+                            shown = own_blocks[entry] != 0 and own_pictures[gaussians[entry]] == picture
+                        if not shown:
                             continue
                         x = np.float32(column + 0.5) - records[r + WHOLE_X]
                         y = np.float32(row + 0.5) - records[r + WHOLE_Y]

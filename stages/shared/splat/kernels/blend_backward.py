@@ -58,43 +58,44 @@ _PLANES = 4
 
 
 @inlined
-def _start_tile(
-    state, sets, planes, channels, count, top, left, width, height, background, features, alpha, depth,
-    g_features, g_alpha, g_depth,
+def _start_picture(
+    state, base, picture, channels, count, top, left, width, height, background, features, first, alpha,
+    depth, g_features, g_alpha, g_depth,
 ):  # fmt: skip
+    """A tile's pixels of one picture; its colours and their gradients begin at `first`."""
     size = length(channels)
-    for picture in range(sets):
-        base = picture * planes * TILE_PIXELS
-        if top + TILE > height or left + TILE > width:
-            for place in range(base, base + planes * TILE_PIXELS):
-                state[place] = ZERO
-            for row in range(TILE):
-                for column in range(TILE):
-                    state[base + pixel_place(row, column, count, planes)] = -ONE
-        for row in range(top, min(top + TILE, height)):
-            for column in range(left, min(left + TILE, width)):
-                place = base + pixel_place(row - top, column - left, count, planes)
-                pixel = (picture * height + row) * width + column
-                behind, whole = ZERO, ZERO
-                for c in range(size):
-                    g = at(g_features, pixel * size + c)
-                    behind += g * at(background, c)
-                    whole += g * at(features, pixel * size + c)
-                    set_at(state, place + (_PLANES + c) * count, g)
-                of_alpha, of_depth = at(g_alpha, pixel), at(g_depth, pixel)
-                # `features` has the background in it, seen through 1 - alpha: take that out.
-                rest = whole - behind + at(alpha, pixel) * of_alpha + at(depth, pixel) * of_depth
-                set_at(state, place, ONE)
-                set_at(state, place + _REST * count, rest)
-                set_at(state, place + _G_ALPHA * count, of_alpha - behind)
-                set_at(state, place + _G_DEPTH * count, of_depth)
+    planes = _PLANES + size
+    if top + TILE > height or left + TILE > width:
+        for place in range(base, base + planes * TILE_PIXELS):
+            state[place] = ZERO
+        for row in range(TILE):
+            for column in range(TILE):
+                state[base + pixel_place(row, column, count, planes)] = -ONE
+    for row in range(top, min(top + TILE, height)):
+        for column in range(left, min(left + TILE, width)):
+            place = base + pixel_place(row - top, column - left, count, planes)
+            pixel = (picture * height + row) * width + column
+            colors = first + (row * width + column) * size
+            behind, whole = ZERO, ZERO
+            for c in range(size):
+                g = at(g_features, colors + c)
+                behind += g * at(background, c)
+                whole += g * at(features, colors + c)
+                set_at(state, place + (_PLANES + c) * count, g)
+            of_alpha, of_depth = at(g_alpha, pixel), at(g_depth, pixel)
+            # `features` has the background in it, seen through 1 - alpha: take that out.
+            rest = whole - behind + at(alpha, pixel) * of_alpha + at(depth, pixel) * of_depth
+            set_at(state, place, ONE)
+            set_at(state, place + _REST * count, rest)
+            set_at(state, place + _G_ALPHA * count, of_alpha - behind)
+            set_at(state, place + _G_DEPTH * count, of_depth)
 
 
 @inlined
-def _pull(pixels, records, record, opaque, inverse, number, grads, channels):
+def _pull(pixels, records, record, alpha, inverse, number, grads, channels):
     """One picture's part of d(loss)/d(alpha) of a block; adds depth and colour gradients to the bank."""
     before = get(pixels, 0)
-    weight, after, still_open = pass_through(before, opaque, number)
+    weight, after, still_open = pass_through(before, alpha, number)
     put(pixels, 0, after)
     value = get(pixels, _G_ALPHA)
     for channel in range(length(channels) + 1):
@@ -106,19 +107,45 @@ def _pull(pixels, records, record, opaque, inverse, number, grads, channels):
     return where(still_open, fma(before, value, negative(rest * inverse)), ZERO)
 
 
+@inlined
+def _visit(todo, state, base, planes, places, records, record, number, grads, channels, lanes):
+    """Add to the bank what a Gaussian gets from the blocks `todo` of the picture that begins at `base`."""
+    count = len(lanes)
+    while todo != 0:
+        block = lowest_bit(todo)
+        todo &= todo - 1
+        pixel_x = load(places, 2 * block * count, lanes)
+        pixel_y = load(places, (2 * block + 1) * count, lanes)
+        x, y, u, v, power, alpha, _ = falloff(pixel_x, pixel_y, records, record, number, lanes)
+        pixels = bank_at(state, base + block * planes * count, lanes)
+        g_alpha = _pull(pixels, records, record, alpha, ONE / (ONE - alpha), number, grads, channels)
+        h = where(power < number[8], g_alpha * alpha, ZERO)
+        hu, hv = h * u, h * v
+        put(grads, SUM_H, get(grads, SUM_H) + h)
+        put(grads, SUM_HU, get(grads, SUM_HU) + hu)
+        put(grads, SUM_HUX, fma(hu, x, get(grads, SUM_HUX)))
+        put(grads, SUM_HUY, fma(hu, y, get(grads, SUM_HUY)))
+        put(grads, SUM_HV, get(grads, SUM_HV) + hv)
+        put(grads, SUM_HVY, fma(hv, y, get(grads, SUM_HVY)))
+
+
 @kernel
 def blend_backward(
-    turn, starts, gaussians, slots, records, stride, background, features, alpha, depth, blocks, g_features,
-    g_alpha, g_depth, sums, width, height, layer_ids, layers, constants, lanes, channels, slot,
+    turn, starts, gaussians, slots, records, stride, background, features, alone_features, alpha, depth,
+    blocks, own_blocks, g_features, g_alone_features, g_alpha, g_depth, sums, width, height, own_pictures,
+    alone, constants, lanes, channels, slot, alone_channels,
 ):  # fmt: skip
-    """Gradients of the tiles this thread gets: sums (E * slot length,), in the slot of each entry."""
+    """Gradients of the tiles this thread gets: sums (E * slot length,), in the slot of each entry.
+
+    own_pictures, alone, alone_channels: as in `blend`.
+    """
     count = len(lanes)
     columns = (width + TILE - 1) // TILE
     tiles = len(starts) - 1
-    sets = 1 if layers is None else 1 + layers
-    planes = _PLANES + length(channels)
-    set_size = planes * TILE_PIXELS
-    state = np.empty(sets * set_size, np.float32)
+    others = 0 if alone is None else alone
+    planes, own_planes = _PLANES + length(channels), _PLANES + length(alone_channels)
+    first_other, other_size = planes * TILE_PIXELS, own_planes * TILE_PIXELS
+    state = np.empty(first_other + others * other_size, np.float32)
     places = np.empty(2 * TILE_PIXELS, np.float32)
     grads = bank(slot, np.empty(length(slot) * count, np.float32), lanes)
     number = numbers(constants, lanes)
@@ -132,10 +159,16 @@ def blend_backward(
         if first == last:
             continue
         top, left = (tile // columns) * TILE, (tile % columns) * TILE
-        _start_tile(
-            state, sets, planes, channels, count, top, left, width, height, background, features, alpha,
-            depth, g_features, g_alpha, g_depth,
+        _start_picture(
+            state, 0, 0, channels, count, top, left, width, height, background, features, 0, alpha, depth,
+            g_features, g_alpha, g_depth,
         )  # fmt: skip
+        for other in range(others):
+            _start_picture(
+                state, first_other + other * other_size, 1 + other, alone_channels, count, top, left, width,
+                height, background, alone_features, other * height * width * length(alone_channels), alpha,
+                depth, g_alone_features, g_alpha, g_depth,
+            )  # fmt: skip
         for block in range(TILE_PIXELS // count):
             corner_x, corner_y = block_corner(block, count, top, left)
             store(places, 2 * block * count, lane_x + np.float32(corner_x))
@@ -144,38 +177,22 @@ def blend_backward(
             if entry + AHEAD < last:
                 prefetch(records, at(gaussians, entry + AHEAD) * stride)
                 prefetch_to_write(sums, np.int64(at(slots, entry + AHEAD)) * length(slot))
-            todo = np.int64(at(blocks, entry))
-            if todo == 0:
+            todo, own_todo = np.int64(at(blocks, entry)), 0
+            if alone is not None:
+                own_todo = np.int64(at(own_blocks, entry))
+            if todo | own_todo == 0:
                 for k in range(0, length(slot), count):
                     store(sums, np.int64(at(slots, entry)) * length(slot) + k, zero)
                 continue
             record = at(gaussians, entry) * stride
-            own = 0
-            if layers is not None:
-                own = (1 + np.int64(at(layer_ids, at(gaussians, entry)))) * set_size
             for k in range(length(slot)):
                 put(grads, k, zero)
-            while todo != 0:
-                block = lowest_bit(todo)
-                todo &= todo - 1
-                pixel_x = load(places, 2 * block * count, lanes)
-                pixel_y = load(places, (2 * block + 1) * count, lanes)
-                x, y, u, v, power, opaque, _ = falloff(pixel_x, pixel_y, records, record, number, lanes)
-                inverse = ONE / (ONE - opaque)
-                pixels = bank_at(state, block * planes * count, lanes)
-                g_opaque = _pull(pixels, records, record, opaque, inverse, number, grads, channels)
-                if layers is not None:
-                    pixels = bank_at(state, own + block * planes * count, lanes)
-                    g_opaque = g_opaque + _pull(
-                        pixels, records, record, opaque, inverse, number, grads, channels
-                    )
-                h = where(power < number[8], g_opaque * opaque, ZERO)
-                hu, hv = h * u, h * v
-                put(grads, SUM_H, get(grads, SUM_H) + h)
-                put(grads, SUM_HU, get(grads, SUM_HU) + hu)
-                put(grads, SUM_HUX, fma(hu, x, get(grads, SUM_HUX)))
-                put(grads, SUM_HUY, fma(hu, y, get(grads, SUM_HUY)))
-                put(grads, SUM_HV, get(grads, SUM_HV) + hv)
-                put(grads, SUM_HVY, fma(hv, y, get(grads, SUM_HVY)))
+            _visit(todo, state, 0, planes, places, records, record, number, grads, channels, lanes)
+            if alone is not None:
+                base = first_other + (np.int64(at(own_pictures, at(gaussians, entry))) - 1) * other_size
+                _visit(
+                    own_todo, state, base, own_planes, places, records, record, number, grads, alone_channels,
+                    lanes,
+                )  # fmt: skip
             for k in range(0, length(slot), count):
                 store(sums, np.int64(at(slots, entry)) * length(slot) + k, lane_sums(grads, k))

@@ -36,8 +36,8 @@ GROUP = 64
 GROUPS_PER_TURN = 4
 """Groups a thread takes at a time."""
 
-SPECIALISED_CHANNELS = (1, 3, 4, 7)
-"""Channel counts with code of their own; others share one general version."""
+SPECIALISED_CHANNELS = range(1, 9)
+"""Channel counts with code of their own, compiled when first used; others share one general version."""
 
 
 @functools.cache

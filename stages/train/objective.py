@@ -25,11 +25,10 @@ from stages.shared.losses.seam import seam_loss
 from stages.shared.losses.silhouette import silhouette_loss
 from stages.shared.losses.smooth import smooth_loss
 from stages.shared.losses.ssim import ssim_loss
-from stages.shared.splat.api import rasterize
+from stages.shared.splat.api import rasterize, rasterize_layers
 from stages.train.config import LossWeights
 from stages.train.data import View
 
-_OUTLINE_SCALE = 0.5
 # Which layers lie directly under which: the garment of each pair must stay outside the other.
 _PAIRS = (
     ("body", "lower"),
@@ -49,31 +48,40 @@ def camera_tensors(camera: Camera, like: Tensor) -> tuple[Tensor, Tensor]:
 
 @dataclass(frozen=True)
 class Picture:
-    """What a camera sees: color (H, W, 3) on black, labels (H, W, L), alpha (H, W), depth (H, W) m."""
+    """What a camera sees: color (H, W, 3) on black, labels (H, W, L), alpha (H, W), depth (H, W) m.
+
+    body_alpha: (H, W) of the body as if nothing else were there; None unless asked for.
+    """
 
     color: Tensor
     labels: Tensor
     alpha: Tensor
     depth: Tensor
+    body_alpha: Tensor | None = None
 
 
-def render(composite: Composite, camera: Camera) -> Picture:
-    """Colours, labels, alpha and expected depth of a composite, in one pass."""
-    viewmat, intrinsics = camera_tensors(camera, composite.means)
-    picture = rasterize(
-        composite.means,
-        None,
-        None,
-        composite.opacities,
-        composite.features,
-        viewmat,
-        intrinsics,
-        camera.width,
-        camera.height,
-        covars=composite.covariances,
-    )
-    features = picture.features
-    return Picture(features[..., :3], features[..., 3:], picture.alpha, picture.expected_depth.detach())
+def render(composite: Composite, camera: Camera, body_alone: bool = False, backend: str = "auto") -> Picture:
+    """Colours, labels, alpha and expected depth of a composite, in one pass; the body alone in the same."""
+    camera_numbers = camera_tensors(camera, composite.means)
+    gaussians = (composite.means, None, None, composite.opacities, composite.features, *camera_numbers)
+    size, covars = (camera.width, camera.height), composite.covariances
+    body_alpha = None
+    if body_alone:
+        layered = rasterize_layers(
+            *gaussians,
+            *size,
+            covars=covars,
+            layer_ids=composite.layer_ids,
+            layers=len(composite.layers),
+            alone=(composite.layers.index("body"),),
+            alone_channels=0,
+            backend=backend,
+        )
+        picture, body_alpha = layered.composite, layered.layers[0].alpha
+    else:
+        picture = rasterize(*gaussians, *size, covars=covars, backend=backend)
+    color, labels = picture.features.split((3, len(composite.layers)), dim=-1)
+    return Picture(color, labels, picture.alpha, picture.expected_depth.detach(), body_alpha)
 
 
 @dataclass(frozen=True)
@@ -118,7 +126,8 @@ def picture_terms(
     `background` (3,) lies behind render and truth alike; pixels on the mask's edge do not count.
     Without a `lens` there is no LPIPS.
     """
-    picture = render(composite, view.camera)
+    outline = weights.silhouette > 0 and "body" in composite.layers
+    picture = render(composite, view.camera, outline)
     valid = view.valid[..., None]
     image = picture.color + (1.0 - picture.alpha)[..., None] * background
     inside = view.inside[..., None]
@@ -139,32 +148,9 @@ def picture_terms(
         terms["ssim"] = ssim_loss(image, truth)
     if weights.label > 0:
         terms["label"] = label_loss(picture.labels, view.labels, view.known, label_kind)
-    if weights.silhouette > 0 and "body" in composite.layers:
-        terms["silhouette"] = _silhouette(composite, view)
+    if picture.body_alpha is not None:
+        terms["silhouette"] = silhouette_loss(picture.body_alpha, view.outline)
     return terms
-
-
-def _silhouette(composite: Composite, view: View) -> Tensor:
-    """The body alone against its outline, at half size: it says where the body is, not what it looks like."""
-    camera = view.camera.scaled(_OUTLINE_SCALE)
-    alone = composite.layer_ids == composite.layers.index("body")
-    viewmat, intrinsics = camera_tensors(camera, composite.means)
-    picture = rasterize(
-        composite.means[alone],
-        None,
-        None,
-        composite.opacities[alone],
-        composite.features[alone, :1].detach(),
-        viewmat,
-        intrinsics,
-        camera.width,
-        camera.height,
-        covars=composite.covariances[alone],
-    )
-    small = torch.nn.functional.interpolate(
-        view.outline[None, None], size=(camera.height, camera.width), mode="area"
-    )[0, 0]
-    return silhouette_loss(picture.alpha, small)
 
 
 @dataclass(frozen=True)

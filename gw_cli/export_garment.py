@@ -26,6 +26,9 @@ def register(app: typer.Typer) -> None:
         ] = "",
         note: Annotated[str, typer.Option(help="A sentence that goes into the file.")] = "",
         distilled: Distilled = False,
+        precision: Annotated[
+            str, typer.Option(help="float16 where it costs nothing that can be seen | float32.")
+        ] = "float16",
         preset: Preset = "draft",
         dry_run: DryRun = False,
         as_json: Json = False,
@@ -41,7 +44,12 @@ def register(app: typer.Typer) -> None:
         console = Console(as_json)
         wanted = tuple(slot.strip() for slot in slots.split(",") if slot.strip())
         config = replace(
-            preset_config(PRESETS, preset), layer=layer, slots=wanted, distilled=distilled, note=note
+            preset_config(PRESETS, preset),
+            layer=layer,
+            slots=wanted,
+            distilled=distilled,
+            precision=precision,
+            note=note,
         )
         target = output or Path(f"{layer}.gwg")
         if dry_run:

@@ -45,6 +45,10 @@ def register(app: typer.Typer) -> None:
         background: Background = "white",
         passes: Passes = "",
         swap: Swap = True,
+        restore: Annotated[
+            bool, typer.Option(help="Let skin that clothes used to cover look like the skin around.")
+        ] = True,
+        push: Annotated[bool, typer.Option(help="Let garments give way where the body is larger.")] = False,
         penetration: Penetration = True,
         preset: Preset = "draft",
         dry_run: DryRun = False,
@@ -71,6 +75,8 @@ def register(app: typer.Typer) -> None:
             background=background,
             passes=names(passes),
             swap=swap,
+            push=push,
+            restore=restore,
             penetration=penetration,
         )
         if dry_run:

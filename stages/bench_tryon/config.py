@@ -4,18 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-PARTS = ("swap", "push", "penetration")
+PARTS = ("restore", "swap", "push", "penetration")
 
 # Names of rows and the parts that are on: each part alone, all, and all but one.
 VARIANTS: dict[str, tuple[str, ...]] = {
     "none": (),
-    "swap": ("swap",),
-    "push": ("push",),
-    "penetration": ("penetration",),
-    "swap+push": ("swap", "push"),
-    "swap+penetration": ("swap", "penetration"),
-    "push+penetration": ("push", "penetration"),
+    **{part: (part,) for part in PARTS},
     "all": PARTS,
+    **{f"all but {part}": tuple(other for other in PARTS if other != part) for part in PARTS},
 }
 
 

@@ -22,6 +22,7 @@ NAMES = (
     "ssim_foreground",
     "iou",
     "skin_through",
+    "skin_psnr",
 )
 _SMALLEST_REGION = 50  # pixels; smaller regions say nothing
 
@@ -32,6 +33,7 @@ def tryon_scores(view: ViewPair, region: int) -> Scores:
     - `region_iou`: predicted against true pixels of the label `region`. `region_psnr`: over the true ones.
       `region_ssim`: Gaussian window, in their box, everything else grey in both pictures.
     - `skin_through`: of a thousand pixels where the truth shows a garment, those that show the body.
+    - `skin_psnr`: over the true pixels of skin.
     - `psnr_foreground`, `ssim_foreground`, `iou`, `miou`: as `gw evaluate`.
     """
     assert view.truth_labels is not None and view.prediction_labels is not None
@@ -45,6 +47,9 @@ def tryon_scores(view: ViewPair, region: int) -> Scores:
     garments = np.isin(view.truth_labels, GARMENT_LABELS)
     if garments.sum() >= _SMALLEST_REGION:
         scores["skin_through"] = 1000 * float((view.prediction_labels[garments] <= 2).mean())
+    skin = inside & (view.truth_labels == 0)
+    if skin.sum() >= _SMALLEST_REGION:
+        scores["skin_psnr"] = psnr(view.prediction, view.truth, skin)
     scores["miou"] = segmentation_scores(view.prediction_labels, view.truth_labels)["miou"]
     scores["psnr_foreground"] = psnr(view.prediction, view.truth, inside)
     scores["ssim_foreground"] = ssim_in_box(view.prediction, view.truth, inside)

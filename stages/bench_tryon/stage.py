@@ -32,7 +32,7 @@ from stages.shared.errors import MissingInput, UsageProblem
 from stages.shared.metrics.scores import Scores, ViewPair
 from stages.shared.outfit.layer import label_of
 from stages.shared.outfit.outfit import outfit_of_bundles
-from stages.shared.outfit.penetration import PenetrationConfig
+from stages.shared.outfit.penetration import TRYON_MARGINS
 from stages.shared.outfit.picture import take_picture
 from stages.shared.outfit.sources import capture_frames, capture_take, read_bundles
 from stages.shared.pictures.folder import check_output, output_folder
@@ -90,7 +90,9 @@ def run(
     named = read_bundles(bundles)
     region = config.region or _foreign_garment([bundle for _, bundle in named])
     outfits = {
-        parts: outfit_of_bundles(named, swap="swap" in parts, push="push" in parts)
+        parts: outfit_of_bundles(
+            named, swap="swap" in parts, push="push" in parts, restore="restore" in parts
+        )
         for parts in {tuple(p for p in VARIANTS[name] if p != "penetration") for name in config.variants}
     }
     take = capture_take(open_capture(truth), None)
@@ -108,9 +110,7 @@ def run(
                 for name in config.variants:
                     parts = VARIANTS[name]
                     composite = composites[tuple(p for p in parts if p != "penetration")]
-                    shot = take_picture(
-                        composite, camera, PenetrationConfig() if "penetration" in parts else None
-                    )
+                    shot = take_picture(composite, camera, TRYON_MARGINS if "penetration" in parts else None)
                     views[name] = _pair(shot, take, camera, frame.row)
                     scores = tryon_scores(views[name], label_of(region))
                     rows.append({"variant": name, "frame": frame.row, "camera": camera.name, **scores})
@@ -155,7 +155,7 @@ def _helps(variants: dict[str, Scores]) -> dict[str, dict[str, Scores]]:
 
     found: dict[str, dict[str, Scores]] = {}
     for part in PARTS:
-        others = "+".join(other for other in PARTS if other != part)
+        others = f"all but {part}"
         if {"none", part} <= variants.keys():
             found.setdefault(part, {})["alone"] = change(part, "none")
         if {"all", others} <= variants.keys():
@@ -195,7 +195,10 @@ def _comparison(views: dict[str, ViewPair]) -> NDArray[np.uint8]:
         picture[np.isin(view.truth_labels, (3, 4, 5)) & (view.prediction_labels <= 2)] = (255, 0, 0)
         pictures.append(picture)
         captions.append(name)
-    return contact_sheet([shrunk(picture, 384) for picture in pictures], 3, captions)
+    rows, columns = np.nonzero(truth.mask > 127)
+    cut = np.s_[max(rows.min() - 8, 0) : rows.max() + 9, max(columns.min() - 16, 0) : columns.max() + 17]
+    cells = [shrunk(np.ascontiguousarray(picture[cut]), 384) for picture in pictures]
+    return contact_sheet(cells, 6, captions)
 
 
 def _rounded(name: str, value: float) -> str:

@@ -4,9 +4,9 @@ Reads:
     register-template: `body.safetensors` body model; `smpl_params.npz` betas and poses.
     bake-maps: `<layer>.safetensors`. train, or distill: `<layer>.safetensors`, `model.json`.
 Writes:
-    one `.gwg` file: maps, model, betas, preview; a body also its body model; a garment also the form of the
-    source's body beneath it (offsets (K,3) f32 m and quaternions (K,4) f32 per covered texel). No dates, no
-    paths: two exports of the same training are the same bytes.
+    one `.gwg` file: maps, model, betas, joints, preview; a body also its body model and what its covered skin
+    is when bare; a garment also the form of the source's body beneath it (offsets (K,3) m and quaternions
+    (K,4) per covered texel). No dates, no paths: two exports of the same training are the same bytes.
 """
 
 from __future__ import annotations
@@ -16,20 +16,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
+from stages.export_garment.body_form import covered_skin, form_beneath, mean_attributes
 from stages.export_garment.config import ExportGarmentConfig
 from stages.export_garment.preview import preview_picture
 from stages.pipeline import BAKE_MAPS, DISTILL, REGISTER_TEMPLATE, TRAIN
 from stages.shared.artifacts import Artifact, Workspace
 from stages.shared.artifacts.bundle import Bundle, write_bundle
+from stages.shared.artifacts.bundle_precision import PRECISIONS, halved
 from stages.shared.avatar.maps import LayerMaps
-from stages.shared.avatar.pose import frame_pose
 from stages.shared.body import BodyModel, Poses
 from stages.shared.capture.labels import LAYERS
 from stages.shared.errors import MissingInput, UsageProblem
 from stages.shared.outfit.layer import WornLayer, layer_of_training
-from stages.shared.outfit.swap import beneath_texels
+from stages.shared.outfit.rebind import canonical_joints
 from stages.shared.plan import Plan
 from stages.shared.poses.read import load_poses
 from stages.shared.report import SILENT, Report
@@ -96,14 +96,12 @@ def run(
     layer = layer_of_training(config.layer, source.baked, source.trained)
     arrays = {f"maps/{name}": array for name, array in layer.maps.arrays().items()}
     arrays |= {f"model/{name}": tensor.numpy() for name, tensor in layer.model.state().items()}
-    arrays["betas"] = poses.betas
+    arrays |= _about_body(config, source, names, layer, body, poses)
     arrays["preview"] = preview_picture(layer, config.preview_size)
-    if config.layer == "body":
-        arrays |= {f"body/{k}": v for k, v in body.to_arrays().items() if k in _BODY_ARRAYS}
-    elif config.beneath and "body" in names:
-        arrays |= form_beneath(layer, source, body, poses, config.beneath_frames)
     manifest = _manifest(config, layer, source, body.digest)
-    digest = write_bundle(output, Bundle(manifest, arrays))
+    digest = write_bundle(
+        output, Bundle(manifest, halved(arrays) if config.precision == "float16" else arrays)
+    )
     size = output.stat().st_size
     report.say(f"{output}: {len(layer.maps)} Gaussians, {size / 2**20:.1f} MiB")
     summary = {
@@ -137,6 +135,12 @@ def checked_slots(config: ExportGarmentConfig) -> tuple[str, ...]:
     Raises:
         UsageProblem: no such layer or slot, or slots without the layer itself.
     """
+    if config.precision not in PRECISIONS:
+        raise UsageProblem(
+            f"There is no precision called {config.precision!r}.",
+            "option --precision",
+            "Choose " + " or ".join(PRECISIONS) + ".",
+        )
     if config.layer not in LAYERS:
         raise UsageProblem(
             f"There is no layer called {config.layer!r}.",
@@ -158,29 +162,26 @@ def checked_slots(config: ExportGarmentConfig) -> tuple[str, ...]:
     return tuple(slot for slot in LAYERS[1:] if slot in slots)
 
 
-@torch.no_grad()
-def form_beneath(
-    garment: WornLayer, source: _Source, body_model: BodyModel, poses: Poses, frames: int
+def _about_body(
+    config: ExportGarmentConfig,
+    source: _Source,
+    names: list[str],
+    layer: WornLayer,
+    body_model: BodyModel,
+    poses: Poses,
 ) -> dict[str, np.ndarray]:
-    """`swap/…` arrays: the source's body beneath the garment, averaged over training poses."""
-    body = layer_of_training("body", source.baked, source.trained)
-    texels = beneath_texels(body.maps, garment.maps)
-    offsets = torch.zeros(len(texels), 3)
-    quaternions = torch.zeros(len(texels), 4)
-    chosen = np.unique(np.linspace(0, len(poses) - 1, frames).astype(int))
-    for frame in chosen:
-        rotations, translation = poses.rotations[frame], poses.translation[frame]
-        pose = frame_pose(body_model, *(torch.from_numpy(a) for a in (rotations, translation, poses.betas)))
-        attributes = body.model(pose.local_transforms)
-        offsets += attributes.offsets[texels] / len(chosen)
-        turned = attributes.quaternions[texels]
-        # q and −q are one rotation: add them up on one side.
-        quaternions += torch.where((turned * quaternions).sum(1, keepdim=True) < 0, -turned, turned)
-    return {
-        "swap/texels": body.maps.texels[texels].numpy().astype(np.int32),
-        "swap/offsets": offsets.numpy(),
-        "swap/quaternions": torch.nn.functional.normalize(quaternions, dim=1).numpy(),
-    }
+    """Shape and joints of the person; of a garment the body beneath it; of a body its model and its skin."""
+    rest = canonical_joints(body_model)
+    arrays = {"betas": poses.betas, "joints": rest}
+    if config.layer == "body":
+        arrays |= {f"body/{k}": v for k, v in body_model.to_arrays().items() if k in _BODY_ARRAYS}
+        garments = [layer_of_training(name, source.baked, source.trained) for name in names if name != "body"]
+        mean = mean_attributes(layer, body_model, poses, config.beneath_frames)
+        return arrays | covered_skin(layer, garments, mean)
+    if config.beneath and "body" in names:
+        body = layer_of_training("body", source.baked, source.trained)
+        arrays |= form_beneath(layer, body, mean_attributes(body, body_model, poses, config.beneath_frames))
+    return arrays
 
 
 def _open(subject: Path, distilled: bool) -> _Source:

@@ -16,6 +16,8 @@ class TryonConfig:
         camera: "static" or "orbit". width, height: pixels.
         background: white, black, grey or #rrggbb, behind film and contact sheet.
         swap: beneath a garment, give the body the form of the garment's own source.
+        push: let garments of other people give way to the body.
+        restore: skin that is bare now, and was covered when it was learned, looks like the skin around.
         penetration: repair pixels where an inner layer pokes through a garment.
         passes: of "labels", "depth", "layers".
     """
@@ -28,6 +30,8 @@ class TryonConfig:
     height: int = 640
     background: str = "white"
     swap: bool = True
+    push: bool = False
+    restore: bool = True
     penetration: bool = True
     passes: tuple[str, ...] = ()
 

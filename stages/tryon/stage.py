@@ -14,11 +14,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from stages.shared.artifacts.bundle import Bundle
 from stages.shared.artifacts.canonical import readable_json
 from stages.shared.artifacts.files import write_file
 from stages.shared.body import Poses
 from stages.shared.outfit.outfit import Outfit, outfit_of_bundles
-from stages.shared.outfit.penetration import PenetrationConfig
+from stages.shared.outfit.penetration import TRYON_MARGINS
 from stages.shared.outfit.reel import ReelConfig, ReelFrame, check_passes, write_reel
 from stages.shared.outfit.sources import parse_betas, parse_frames, read_bundles
 from stages.shared.outfit.viewpoints import viewpoint_cameras
@@ -58,7 +59,7 @@ def run(
     check_output(output, RESULT_NAME, MARK)
     report.step("reading the bundles")
     named = read_bundles(bundles)
-    outfit = outfit_of_bundles(named, parse_betas(config.betas), config.swap)
+    outfit = dressed(named, config)
     poses = load_poses(poses_path, outfit.body_model, config.fps or None)
     frames = _frames(outfit, poses, config)
     report.say(f"{' < '.join(outfit.names)}: {outfit.gaussians} Gaussians, {len(frames)} frames")
@@ -71,6 +72,7 @@ def run(
             "bundles": {bundle.layer: bundle.digest for _, bundle in named},
             "betas": [round(float(value), 6) for value in outfit.betas],
             "swapped_texels": {change.garment: change.count for change in outfit.swaps},
+            "restored_texels": outfit.restoration.count if outfit.restoration else 0,
             **reel_summary.as_dict(),
         }
         shown = {"fps": poses.fps, "frames": [frame.row for frame in frames], "config": asdict(config)}
@@ -84,7 +86,7 @@ def plan(
 ) -> Plan:
     """What `run` would read, write and cost."""
     _reel_config(config)
-    outfit = outfit_of_bundles(read_bundles(bundles), parse_betas(config.betas), config.swap)
+    outfit = dressed(read_bundles(bundles), config)
     poses = load_poses(poses_path, outfit.body_model, config.fps or None)
     count = len(parse_frames(config.frames, len(poses)))
     pixels = config.width * config.height
@@ -98,12 +100,18 @@ def plan(
     )
 
 
+def dressed(named: Sequence[tuple[str, Bundle]], config: TryonConfig) -> Outfit:
+    """The outfit of these bundles."""
+    betas = parse_betas(config.betas)
+    return outfit_of_bundles(named, betas, config.swap, config.push, config.restore)
+
+
 def _reel_config(config: TryonConfig) -> ReelConfig:
     check_passes(config.passes)
     return ReelConfig(
         background=read_background(config.background),
         passes=config.passes,
-        penetration=PenetrationConfig() if config.penetration else None,
+        penetration=TRYON_MARGINS if config.penetration else None,
         film="tryon",
     )
 

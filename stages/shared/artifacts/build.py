@@ -19,7 +19,7 @@ from stages.shared.artifacts import lock
 from stages.shared.artifacts.arrays import describe_arrays, encode_arrays
 from stages.shared.artifacts.artifact import Artifact
 from stages.shared.artifacts.canonical import plain, readable_json, seal
-from stages.shared.artifacts.external import ExternalFiles, file_digest
+from stages.shared.artifacts.external import ExternalFiles, complete_folders, file_digest
 from stages.shared.artifacts.files import (
     Chunks,
     flush_file,
@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from stages.shared.artifacts.workspace import Workspace
 
 TEMPORARY = ".tmp-"
+_last_finished = time.monotonic()
 _LIBRARIES = ("numpy", "torch", "scipy", "open3d", "igl", "trimesh", "cv2", "numba", "roma", "av")
 
 
@@ -135,6 +136,11 @@ class Build:
             self._manifest.inputs.update(entries)
             for name, listing in listings.items():
                 self._write(name, readable_json(listing))
+            self._complete = {
+                name: complete_folders(given.listed(), given.root)
+                for name, given in self._inputs.items()
+                if isinstance(given, ExternalFiles)
+            }
         except BaseException:
             self._abandon()
             raise
@@ -208,6 +214,8 @@ class Build:
         return {
             "started": self._started_at,
             "seconds": round(time.monotonic() - self._started, 3),
+            "stage_seconds": round(_since_last_artifact(), 3),
+            "complete_folders": self._complete,
             "peak_bytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024,
             "python": platform.python_version(),
             "system": f"{platform.system()} {platform.machine()}",
@@ -220,6 +228,13 @@ class Build:
             remove_folder(self.path)
         finally:
             lock.release(self._workspace.root)
+
+
+def _since_last_artifact() -> float:
+    """Seconds since this process finished its last artifact, or loaded the store: the cost of a stage."""
+    global _last_finished
+    before, _last_finished = _last_finished, time.monotonic()
+    return _last_finished - before
 
 
 def _library_versions() -> dict[str, str]:

@@ -34,7 +34,7 @@ MAX_TEXT = 4096
 MAX_DEPTH = 16
 _DTYPES = ("F32", "F16", "I32", "U8")
 _MANIFEST, _SEAL = "gwg", "gwg_sha256"
-_NAME = re.compile(r"(?:maps|model|swap|body)/[A-Za-z0-9_.]{1,120}|preview|betas")
+_NAME = re.compile(r"(?:maps|model|swap|skin|body)/[A-Za-z0-9_.]{1,120}|preview|betas|joints")
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,8 @@ class Bundle:
     Attributes:
         manifest: plain JSON; what it must say is in `bundle_content.py`. Schema and tensor digests are added
             on writing.
-        arrays: name to array: `maps/…`, `model/…`, `swap/…`, `body/…`, `betas`, `preview`.
+        arrays: name to array: `maps/…`, `model/…`, `swap/…`, `skin/…`, `body/…`, `betas`,
+            `joints`, `preview`.
         digest: SHA-256 of the manifest with all tensor digests: names the content. Empty until written.
     """
 

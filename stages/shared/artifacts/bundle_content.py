@@ -10,7 +10,7 @@ Manifest:
     model           configuration of the layer's model
     training        configuration and scores, as trained
     note            a text
-Arrays (N texels):
+Arrays (N texels; since 1.1 f16 may stand for f32 where `bundle_precision.py` says so):
     maps/texels (N,3) i32 view (even front, odd back), row, column · maps/window (4,) i32
     maps/neighbours (N,4) i32 · maps/seams (S,2) i32
     maps/positions, maps/normals (N,3) f32 · maps/skin_weights (N,55) f32 · maps/shape_directions (N,10,3) f32
@@ -19,6 +19,9 @@ Arrays (N texels):
     betas (10,) f32 shape of the person the layer was learned from
     swap/texels (K,3) i32, swap/offsets (K,3) f32 m, swap/quaternions (K,4) f32
                     (garment) the body of the source beneath the garment
+    joints (55,3) f32 m, canonical, zero shape, of the body model it was learned with (since 1.1)
+    skin/covered (N,), skin/offsets (N,3) m, skin/colors (N,3) f32
+                    (body, since 1.1) how much clothes covered each texel; what it is where nothing does
     body/…          (body) the body model's arrays
     preview (H,W,3) u8 sRGB
 """
@@ -30,6 +33,7 @@ from typing import Any
 import numpy as np
 
 from stages.shared.artifacts.arrays import Arrays
+from stages.shared.artifacts.bundle_precision import may_be_half
 from stages.shared.errors import BadData
 
 LAYERS = ("body", "lower", "upper", "outer")
@@ -51,6 +55,11 @@ _MAPS: dict[str, tuple[tuple[int, ...], str]] = {
     "spacing": ((), "f"),
     "colors": ((3,), "f"),
     "color_confidence": ((), "f"),
+}
+_SKIN: dict[str, tuple[tuple[int, ...], float, float]] = {
+    "covered": ((), 0, 1),
+    "offsets": ((3,), -1, 1),
+    "colors": ((3,), -0.01, 1.01),
 }
 _BODY = ("template_vertices", "faces", "shape_directions", "joint_regressor", "skin_weights")
 _BODY_OPTIONAL = ("hand_components_left", "hand_components_right", "hand_mean_left", "hand_mean_right")
@@ -105,7 +114,7 @@ def check_arrays(manifest: dict[str, Any], arrays: Arrays, where: str) -> None:
             raise _bad("a tensor holds NaN or infinity", where, name)
         if array.size == 0 and name not in ("maps/seams",) and not name.startswith("swap/"):
             raise _bad("a tensor is empty", where, name)
-        if name.startswith("model/") and array.dtype.kind == "f" and np.abs(array).max() > 1e6:
+        if name.startswith("model/") and array.dtype.kind == "f" and float(np.abs(array).max()) > 1e6:
             raise _bad("a tensor of the model has values beyond a million", where, name)
     _check_maps(manifest["grid"]["size"], arrays, where)
     _expect("betas", arrays, (BETAS,), "f", where)
@@ -118,11 +127,18 @@ def check_arrays(manifest: dict[str, Any], arrays: Arrays, where: str) -> None:
         raise _bad(f"the preview is larger than {_LARGEST_PREVIEW} pixels", where, "preview")
     if manifest["kind"] == "body":
         _check_body(arrays, where)
-    elif any(name.startswith("body/") for name in arrays):
-        raise _bad("a garment carries a body model", where)
+    elif any(name.startswith(("body/", "skin/")) for name in arrays):
+        raise _bad("a garment carries a body", where)
     if any(name.startswith("swap/") for name in arrays):
         _check_swap(manifest, arrays, where)
-    known = {f"maps/{name}" for name in (*_MAPS, "window", "seams")} | {"betas", "preview"}
+    if any(name.startswith("skin/") for name in arrays):
+        _check_skin(arrays, where)
+    if "joints" in arrays:
+        _expect("joints", arrays, (JOINTS, 3), "f", where)
+        if np.abs(arrays["joints"]).max() > _BOX:
+            raise _bad(f"a joint is farther than {_BOX} m from the origin", where, "joints")
+    known = {f"maps/{name}" for name in (*_MAPS, "window", "seams")} | {"betas", "preview", "joints"}
+    known |= {f"skin/{name}" for name in _SKIN}
     known |= {f"swap/{name}" for name in ("texels", "offsets", "quaternions")}
     known |= {f"body/{name}" for name in (*_BODY, *_BODY_OPTIONAL)}
     for name in arrays:
@@ -215,6 +231,15 @@ def _check_swap(manifest: dict[str, Any], arrays: Arrays, where: str) -> None:
         raise _bad("a quaternion has not length one", where, "swap/quaternions")
 
 
+def _check_skin(arrays: Arrays, where: str) -> None:
+    count = len(arrays["maps/texels"])
+    for name, (shape, low, high) in _SKIN.items():
+        _expect(f"skin/{name}", arrays, (count, *shape), "f", where)
+        values = arrays[f"skin/{name}"]
+        if values.min() < low or values.max() > high:
+            raise _bad(f"a value is not between {low} and {high}", where, f"skin/{name}")
+
+
 def _check_weights(weights: np.ndarray, tolerance: float, where: str, name: str) -> None:
     if weights.min() < -1e-6 or np.abs(weights.sum(axis=1, dtype=np.float64) - 1).max() > tolerance:
         raise _bad("skinning weights are negative, or a row does not sum to one", where, name)
@@ -224,7 +249,8 @@ def _expect(name: str, arrays: Arrays, shape: tuple[int, ...], kind: str, where:
     array = _named(name, arrays, where)
     if array.shape != shape:
         raise _bad(f"the shape {array.shape} is not {shape}", where, name)
-    if array.dtype != (np.int32 if kind == "i" else np.float32):
+    half = kind == "f" and array.dtype == np.float16 and may_be_half(name)
+    if not half and array.dtype != (np.int32 if kind == "i" else np.float32):
         raise _bad(f"the type {array.dtype} is not the one it must have", where, name)
 
 

@@ -39,6 +39,10 @@ class ExternalFiles:
     def setting(self) -> str:
         return self.name.split("/")[0]
 
+    def listed(self) -> list[str]:
+        """Paths of the files relative to `root`, with forward slashes."""
+        return [os.path.relpath(file, self.root).replace(os.sep, "/") for file in self.files]
+
     def listing(self, cache: DigestCache) -> dict[str, str]:
         """SHA-256 of every file by its path relative to `root`, sorted.
 
@@ -46,7 +50,7 @@ class ExternalFiles:
             MissingInput: a file is not there.
             StorageFailure: a file cannot be read.
         """
-        relative = {os.path.relpath(file, self.root).replace(os.sep, "/"): Path(file) for file in self.files}
+        relative = dict(zip(self.listed(), map(Path, self.files), strict=True))
         outside = [path for path in relative if path.startswith("../")]
         if outside:
             raise ValueError(f"{self.name}: {outside[0]} is not below {self.root}")
@@ -68,6 +72,69 @@ def changes(recorded: dict[str, str], root: Path, cache: DigestCache) -> Iterabl
             continue
         if found != expected:
             yield f"{path} changed"
+
+
+def complete_folders(listing: Iterable[str], root: Path) -> list[str]:
+    """Folders of which a listing holds everything of its kind: a new file there is a new input.
+
+    A folder counts where the listing has two files or more with the same ending and leaves none out; a name
+    that ends in a slash is a folder of two or more such folders, where a new folder would be a new input.
+    """
+    kinds = _kinds(listing)
+    whole = [
+        folder
+        for folder, (suffixes, names) in kinds.items()
+        if len(names) > 1 and not _others(root / folder, suffixes, names)
+    ]
+    above: dict[str, set[str]] = {}
+    for folder in whole:
+        parent, _, name = folder.rpartition("/")
+        above.setdefault(parent, set()).add(name)
+    whole += [
+        f"{parent}/" for parent, names in above.items() if len(names) > 1 and _folders(root / parent) == names
+    ]
+    return sorted(whole)
+
+
+def newcomers(listing: Iterable[str], root: Path, complete: Iterable[str]) -> list[str]:
+    """Files and folders that have come to `complete_folders` since."""
+    kinds = _kinds(listing)
+    found = []
+    for folder in complete:
+        if folder.endswith("/"):
+            known = {name.rpartition("/")[2] for name in kinds if name.rpartition("/")[0] == folder[:-1]}
+            found += [f"{folder}{name}" for name in sorted(_folders(root / folder) - known)]
+        elif folder in kinds:
+            others = _others(root / folder, *kinds[folder])
+            found += [f"{folder}/{name}" if folder else name for name in sorted(others)]
+    return found
+
+
+def _kinds(listing: Iterable[str]) -> dict[str, tuple[set[str], set[str]]]:
+    """Endings and names of the listed files, by folder."""
+    kinds: dict[str, tuple[set[str], set[str]]] = {}
+    for path in listing:
+        folder, _, name = path.rpartition("/")
+        suffixes, names = kinds.setdefault(folder, (set(), set()))
+        suffixes.add(Path(name).suffix)
+        names.add(name)
+    return kinds
+
+
+def _others(folder: Path, suffixes: set[str], names: set[str]) -> set[str]:
+    """Files of a folder with one of the endings that are not among the names."""
+    try:
+        there = {entry.name for entry in os.scandir(folder) if entry.is_file()}
+    except OSError:
+        return set()
+    return {name for name in there - names if Path(name).suffix in suffixes and not name.startswith(".")}
+
+
+def _folders(folder: Path) -> set[str]:
+    try:
+        return {e.name for e in os.scandir(folder) if e.is_dir() and not e.name.startswith(".")}
+    except OSError:
+        return set()
 
 
 def file_digest(path: Path) -> str:

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from stages.shared.artifacts.artifact import Artifact
 from stages.shared.artifacts.canonical import plain
-from stages.shared.artifacts.external import DigestCache, changes
+from stages.shared.artifacts.external import DigestCache, changes, newcomers
 from stages.shared.artifacts.manifest import InputEntry
 from stages.shared.artifacts.spec import StageSpec
 from stages.shared.artifacts.workspace import Workspace
@@ -143,7 +143,9 @@ def _external_reasons(
     if root is None or not root.is_dir():
         return [f"{name}: {entry.root} is not where subject.json says ({place})"]
     listing: dict[str, str] = artifact.json(str(entry.listing))
+    complete = artifact.run.get("complete_folders", {}).get(name, [])
     changed = list(changes(listing, Path(root), cache))
+    changed += [f"{new} is new" for new in newcomers(listing, Path(root), complete)]
     reasons = [f"{name}: {change}" for change in changed[:_SHOWN_FILES]]
     if len(changed) > _SHOWN_FILES:
         reasons.append(f"{name}: {len(changed) - _SHOWN_FILES} more of {len(listing)} files")

@@ -105,11 +105,11 @@ class Workspace:
         if damaged:
             return None
         if not self._points_at(artifact):
-            with self._writing():
+            with self.writing():
                 self.point_at(artifact)
         elif self._progress_folder(spec.name, key).exists():
             # A kill came between the end of the work and its tidying; a busy workspace is tidied later.
-            with contextlib.suppress(Locked), self._writing():
+            with contextlib.suppress(Locked), self.writing():
                 self.drop_progress(spec.name, key)
         return artifact
 
@@ -176,7 +176,7 @@ class Workspace:
         settings = self.settings()
         if settings | values == settings and (self.root / SETTINGS_NAME).exists():
             return
-        with self._writing():
+        with self.writing():
             write_whole(self.root / SETTINGS_NAME, readable_json(self.settings() | values))
 
     def setting_path(self, name: str) -> Path:
@@ -215,7 +215,7 @@ class Workspace:
         data = artifact.bytes(file_name)
         if target.exists() and target.read_bytes() == data:
             return target
-        with self._writing():
+        with self.writing():
             write_whole(target, data)
         return target
 
@@ -232,7 +232,8 @@ class Workspace:
         path = (self.root / text).resolve()
         return path if self.root.is_absolute() else Path(os.path.relpath(path))
 
-    def _writing(self) -> contextlib.AbstractContextManager[None]:
+    def writing(self) -> contextlib.AbstractContextManager[None]:
+        """Be the writer inside the block. Raises Locked when another process is."""
         return lock.holding(self.root, self.clear_leftovers)
 
     def artifacts(self) -> list[Path]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from torch import Tensor
 
 from stages.shared.artifacts import Artifact
 from stages.shared.artifacts.bundle import Bundle
+from stages.shared.artifacts.bundle_precision import whole
 from stages.shared.avatar.decoder import AvatarModel, load_model
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.capture.labels import LABELS, LAYERS
@@ -33,6 +34,20 @@ class Beneath:
 
 
 @dataclass(frozen=True, eq=False)
+class Skin:
+    """What a body's texels are where no clothes cover them: spread from the skin that was seen.
+
+    Attributes:
+        covered: (N,) how much each texel was covered when it was learned, 0..1.
+        offsets: (N, 3) m canonical. colors: (N, 3) sRGB 0..1.
+    """
+
+    covered: Tensor
+    offsets: Tensor
+    colors: Tensor
+
+
+@dataclass(frozen=True, eq=False)
 class WornLayer:
     """A body or a garment.
 
@@ -41,7 +56,7 @@ class WornLayer:
         slots: layers it takes up; () for a body.
         maps, model: as trained.
         source: digest of the training it comes from, to tell pieces that were learned together.
-        beneath: of a garment, when its bundle carries it.
+        beneath: of a garment, when its bundle carries it. skin: of a body, the same.
         layer_ids: (N,) index into LAYERS of every texel, where a baseline's layer holds several.
     """
 
@@ -51,6 +66,7 @@ class WornLayer:
     model: AvatarModel
     source: str = ""
     beneath: Beneath | None = None
+    skin: Skin | None = None
     layer_ids: Tensor | None = None
 
     @property
@@ -68,7 +84,7 @@ def label_of(layer: str) -> int:
 
 def layer_of_bundle(bundle: Bundle) -> WornLayer:
     """The layer in a bundle. Raises BadData where model and maps do not fit."""
-    manifest = bundle.manifest
+    manifest, bundle = bundle.manifest, replace(bundle, arrays=whole(bundle.arrays))
     grid = manifest["grid"]
     maps = LayerMaps.from_arrays(
         bundle.layer, bundle.group("maps"), grid["pitch"], grid["centre"], grid["size"]
@@ -82,8 +98,11 @@ def layer_of_bundle(bundle: Bundle) -> WornLayer:
             torch.from_numpy(swap["offsets"].copy()),
             torch.from_numpy(swap["quaternions"].copy()),
         )
+    skin = None
+    if bare := bundle.group("skin"):
+        skin = Skin(*(torch.from_numpy(bare[name].copy()) for name in ("covered", "offsets", "colors")))
     source = str(manifest["training"].get("source", ""))
-    return WornLayer(bundle.layer, tuple(manifest["slots"]), maps, model, source, beneath)
+    return WornLayer(bundle.layer, tuple(manifest["slots"]), maps, model, source, beneath, skin)
 
 
 def layer_of_training(name: str, baked: Artifact, trained: Artifact) -> WornLayer:

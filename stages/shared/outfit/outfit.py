@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -18,7 +18,9 @@ from stages.shared.body import BodyModel, Poses
 from stages.shared.capture.labels import LAYERS
 from stages.shared.errors import BadData, UsageProblem
 from stages.shared.outfit.layer import BASELINE_LAYERS, WornLayer, layer_of_bundle, layer_of_training
-from stages.shared.outfit.push import Push, plan_pushes
+from stages.shared.outfit.push import Push, plan_push
+from stages.shared.outfit.rebind import convertible, rebound
+from stages.shared.outfit.restore import Restoration, plan_restoration, restored
 from stages.shared.outfit.swap import Swap, plan_swap, swapped
 
 
@@ -31,7 +33,8 @@ class Outfit:
         betas: (10,) f32 shape of the wearer, β*.
         layers: inner to outer, body first.
         swaps: changes of the body's form beneath garments of other people.
-        pushes: displacements of garments of other people out of the body.
+        pushes: how garments of other people give way to the body.
+        restoration: of skin that was covered when the body was learned and is bare now.
     """
 
     body_model: BodyModel
@@ -39,6 +42,7 @@ class Outfit:
     layers: tuple[WornLayer, ...]
     swaps: tuple[Swap, ...] = ()
     pushes: tuple[Push, ...] = ()
+    restoration: Restoration | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -59,15 +63,15 @@ class Outfit:
             torch.from_numpy(poses.translation[frame]),
             torch.from_numpy(self.betas),
         )
-        posed = {}
-        pushed = {push.garment: push.displacement for push in self.pushes}
+        posed: dict[str, PosedGaussians] = {}
+        pushes = {push.garment: push for push in self.pushes}
         for layer in self.layers:
             attributes = layer.model(pose.local_transforms)
             if layer.name == "body":
-                attributes = swapped(attributes, list(self.swaps))
-            elif layer.name in pushed:
-                attributes = replace(attributes, offsets=attributes.offsets + pushed[layer.name])
+                attributes = swapped(restored(attributes, self.restoration), list(self.swaps))
             posed[layer.name] = pose_layer(layer.maps, attributes, pose.transforms, pose.betas)
+            if layer.name in pushes:
+                posed[layer.name] = pushes[layer.name].applied(posed[layer.name], posed["body"])
         return posed
 
     def composite(self, poses: Poses, frame: int) -> Composite:
@@ -89,6 +93,7 @@ def outfit_of_bundles(
     betas: NDArray[np.float32] | None = None,
     swap: bool = True,
     push: bool = False,
+    restore: bool = True,
 ) -> Outfit:
     """Dress a body bundle in garment bundles.
 
@@ -96,7 +101,8 @@ def outfit_of_bundles(
         named: (name for messages, bundle), in any order: the layers decide which lies over which.
         betas: (10,) shape of the wearer; the body bundle's own when None.
         swap: take the form of garment sources beneath their garments.
-        push: move garments of other people out of the body where it is larger than their source's.
+        push: let garments of other people give way to the body.
+        restore: give skin that is bare now, and was covered when it was learned, the look of the skin around.
 
     Raises:
         UsageProblem: no body, two bodies, two garments for one slot. BadData: made for another body model.
@@ -104,24 +110,20 @@ def outfit_of_bundles(
     body_name, body = _the_body(named)
     garments = [(name, bundle) for name, bundle in named if bundle.kind == "garment"]
     _check_slots(garments)
-    wanted = body.manifest["body_model"]["digest"]
-    for name, bundle in garments:
-        if bundle.manifest["body_model"]["digest"] != wanted:
-            raise BadData(
-                f"{name} was made with another body model than {body_name}.",
-                name,
-                "Train and export both with the same body model (gw register-template --body-model).",
-            )
     ordered = sorted(garments, key=lambda item: LAYERS.index(item[1].layer))
-    layers = tuple(layer_of_bundle(bundle) for _, bundle in [(body_name, body), *ordered])
+    model = BodyModel.from_arrays(body.group("body"), body_name)
+    wearer = layer_of_bundle(body)
+    layers = (wearer, *(_fitting(name, bundle, body, wearer, model) for name, bundle in ordered))
     swaps = [plan_swap(layers[0], layer) for layer in layers[1:]] if swap else []
+    pushes = [plan_push(layers[0], layer) for layer in layers[1:]] if push else []
     shape = np.asarray(body.arrays["betas"] if betas is None else betas, dtype=np.float32)
     return Outfit(
-        BodyModel.from_arrays(body.group("body"), body_name),
+        model,
         shape,
         layers,
         tuple(change for change in swaps if change is not None),
-        plan_pushes(layers, torch.from_numpy(shape)) if push else (),
+        tuple(found for found in pushes if found is not None),
+        plan_restoration(layers[0], layers[1:]) if restore else None,
     )
 
 
@@ -133,6 +135,20 @@ def outfit_of_training(registered: Artifact, baked: Artifact, trained: Artifact)
     poses = load_poses(registered.file("smpl_params.npz"), body)
     names = [name for name in (*LAYERS, *BASELINE_LAYERS) if name in trained.json("model.json")["layers"]]
     return Outfit(body, poses.betas, tuple(layer_of_training(name, baked, trained) for name in names))
+
+
+def _fitting(name: str, garment: Bundle, body: Bundle, wearer: WornLayer, model: BodyModel) -> WornLayer:
+    """A garment's layer, carried over to the wearer's body model where it was made with another one."""
+    if garment.manifest["body_model"]["digest"] == body.manifest["body_model"]["digest"]:
+        return layer_of_bundle(garment)
+    if not convertible(garment):
+        raise BadData(
+            f"{name} was made with another body model than the body, and does not say where its bones were.",
+            name,
+            "Export it again with this version of gw, or train both with one body model "
+            "(gw register-template --body-model).",
+        )
+    return rebound(layer_of_bundle(garment), garment.arrays["joints"], wearer, model)
 
 
 def _the_body(named: Sequence[tuple[str, Bundle]]) -> tuple[str, Bundle]:

@@ -37,6 +37,10 @@ class PenetrationConfig:
     opaque: float = 0.95
 
 
+# Garments of other people lie less close to the body: the margins that were published for try-on.
+TRYON_MARGINS = PenetrationConfig(body_margin=0.05, garment_margin=0.10)
+
+
 @dataclass(frozen=True, eq=False)
 class Repaired:
     """A composite after the pass.

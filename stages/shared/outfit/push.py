@@ -1,32 +1,35 @@
-"""Push-out: a garment of another person moves out of the wearer's body where that is larger.
+"""Push-out: garments of other people give way to the wearer's body.
 
-A garment takes the wearer's shape through the shape directions, but what it was learned on is its source's
-body: with other muscles, other underwear, other learned offsets. Once per outfit, in the re-shaped canonical
-pose, every texel that is closer than `CLEARANCE` to the layers beneath it asks for a displacement along their
-normal; the smooth field that meets all of them is added to the garment's offsets in every pose. Pieces that
-were learned together keep the distance that they learned.
+A garment takes the wearer's shape through the shape directions, but it hangs as it did on its source: where
+the wearer is larger, or lifts a leg as the source never did, the body would stick out. Nothing is trained: in
+every pose, each texel that is closer than `CLEARANCE` to the body that it covers asks for a displacement
+along the body's normal, and the garment moves by the smooth field that meets all of them.
+
+Which body texels a garment covers is decided once, in the canonical pose (`coverage.py`): a hand that hangs
+before a skirt does not push it. Front texels look for the body's front, back ones for its back, so that a
+thigh that is through the cloth pushes it forwards even where its back side is nearer.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy import sparse
 from scipy.spatial import cKDTree
-from torch import Tensor
 
-from stages.shared.avatar.deform import pose_layer
+from stages.shared.avatar.deform import PosedGaussians
 from stages.shared.avatar.maps import LayerMaps
+from stages.shared.outfit.coverage import covered_weights, same_grid
 from stages.shared.outfit.layer import WornLayer
 
-CLEARANCE = 0.004  # m between a garment's Gaussians and what is beneath
-_DEEPEST = 0.06  # m; farther inside is not poking through but the other side of the body
-_DEEPEST_GARMENT = 0.015  # m; between garments: deeper, they hang beside each other
-_NEAREST = 4  # points beneath that are averaged
-_ITERATIONS = 80  # of smoothing; the field reaches about √80 texels beyond the places that ask
+CLEARANCE = 0.002  # m between a garment's Gaussians and the body's
+_DEEPEST = 0.03  # m; farther inside, cloth and body are not where they should be, and a push makes it worse
+_REACH = 0.20  # m between a texel and the body point it is compared with
+_NEAREST = 4  # body points that are averaged
+_ITERATIONS = 40  # of smoothing; the field reaches about √40 texels beyond the places that ask
 _FADING = 0.98  # per iteration, so that a push far away dies out
 
 Floats = NDArray[np.float32]
@@ -34,134 +37,93 @@ Floats = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class Push:
-    """Displacement of one garment.
+    """What a garment needs to know to give way in any pose.
 
     Attributes:
         garment: layer name.
-        displacement: (N, 3) m, canonical, added to the offsets.
-        inside_before, inside_after: share of the texels that are closer than the clearance.
+        sides: per side (front, back): indices of garment texels, and of the body texels beneath them.
+        smoothing: (N, N) means over the linked texels of the garment.
     """
 
     garment: str
-    displacement: Tensor
-    inside_before: float
-    inside_after: float
+    sides: tuple[tuple[NDArray[np.intp], NDArray[np.intp]], ...]
+    smoothing: sparse.csr_matrix
 
-    @property
-    def count(self) -> int:
-        """Texels that move by more than a tenth of a millimetre."""
-        return int((self.displacement.norm(dim=1) > 1e-4).sum())
+    def displacement(self, garment: PosedGaussians, body: PosedGaussians) -> Floats | None:
+        """(N, 3) m, world; None where nothing touches."""
+        points, beneath = garment.means.numpy(), body.means.numpy()
+        normals = body.normals.numpy()
+        need = np.zeros(len(points), np.float32)
+        along = np.zeros_like(points)
+        for own, covered in self.sides:
+            height, along[own] = _height(points[own], beneath[covered], normals[covered])
+            need[own] = np.where(height < -_DEEPEST, 0, np.clip(CLEARANCE - height, 0, None))
+        if not (need > 1e-4).any():
+            return None
+        return smooth_field(self.smoothing, need, along)
 
-
-@dataclass(frozen=True, eq=False)
-class _Form:
-    """A layer in the re-shaped canonical pose: points and normals (M, 3), and who it was learned with."""
-
-    layer: str
-    points: Floats
-    normals: Floats
-    source: str
-    tree: cKDTree
-
-
-@torch.no_grad()
-def plan_pushes(layers: Sequence[WornLayer], betas: Tensor, clearance: float = CLEARANCE) -> tuple[Push, ...]:
-    """The displacement of every garment that touches what is beneath it, inner garments first.
-
-    Arguments:
-        layers: inner to outer, body first. betas: (10,) of the wearer.
-    """
-    before: list[_Form] = []  # as learned: what pieces of one source are to each other
-    beneath: list[_Form] = []
-    pushes = []
-    for layer in layers:
-        form = _form(layer, betas)
-        if layer.name != "body":
-            push = _push(layer, form, beneath, before, clearance)
-            if push is not None:
-                pushes.append(push)
-                moved = form.points + push.displacement.numpy()
-                beneath.append(_Form(form.layer, moved, form.normals, form.source, cKDTree(moved)))
-                before.append(form)
-                continue
-        beneath.append(form)
-        before.append(form)
-    return tuple(pushes)
+    def applied(self, garment: PosedGaussians, body: PosedGaussians) -> PosedGaussians:
+        """The garment out of the body's way."""
+        field = self.displacement(garment, body)
+        return garment if field is None else replace(garment, means=garment.means + torch.from_numpy(field))
 
 
-def _form(layer: WornLayer, betas: Tensor) -> _Form:
-    """Points and normals of the two outer sheets: front and back."""
-    still = torch.eye(4).expand(55, 4, 4)
-    posed = pose_layer(layer.maps, layer.model(still), still, betas)
-    points = posed.means.numpy()
-    return _Form(layer.name, points, posed.normals.numpy(), layer.source, cKDTree(points))
-
-
-def _push(
-    layer: WornLayer, form: _Form, beneath: list[_Form], before: list[_Form], clearance: float
-) -> Push | None:
-    """The push of one garment against all that lies beneath; None where it touches nothing."""
-    needs, normals = [], []
-    for inner, learned in zip(beneath, before, strict=True):
-        height, normal = _height(form, inner)
-        wanted = np.full(len(height), clearance, np.float32)
-        if form.source and form.source == learned.source:
-            wanted = np.minimum(wanted, _height(form, learned)[0])
-        need = np.clip(wanted - height, 0, None)
-        deepest = _DEEPEST if inner.layer == "body" else _DEEPEST_GARMENT
-        needs.append(np.where(height < -deepest, 0, need))
-        normals.append(normal)
-    need, normal = np.stack(needs), np.stack(normals)
-    most = need.argmax(axis=0)
-    rows = np.arange(need.shape[1])
-    need, normal = need[most, rows], normal[most, rows]
-    if not (need > 1e-4).any():
+def plan_push(body: WornLayer, garment: WornLayer) -> Push | None:
+    """The push of one garment; None where it was learned on this body, or covers nothing of it."""
+    if (garment.source and garment.source == body.source) or not same_grid(body.maps, garment.maps):
         return None
-    field = smooth_field(layer.maps, need, normal)
-    left = need - np.einsum("nk,nk->n", field, normal)
-    return Push(layer.name, torch.from_numpy(field), float((need > 1e-4).mean()), float((left > 1e-3).mean()))
+    beneath = covered_weights(body.maps, garment.maps, feather=0.0) > 0
+    sides = []
+    for side in (0, 1):
+        own = np.flatnonzero(garment.maps.side.numpy() == side)
+        covered = np.flatnonzero(beneath & (body.maps.side.numpy() == side))
+        if len(own) and len(covered) >= _NEAREST:
+            sides.append((own, covered))
+    return Push(garment.name, tuple(sides), _smoothing(garment.maps)) if sides else None
 
 
-def _height(form: _Form, inner: _Form) -> tuple[Floats, Floats]:
-    """Height (N,) m of a garment's points over an inner layer, and that layer's normal (N, 3) there.
+def _height(points: Floats, beneath: Floats, normals: Floats) -> tuple[Floats, Floats]:
+    """Height (N,) m of points over a surface of points with normals, and its normal (N, 3) there.
 
-    Infinite where the inner layer is farther than a hand's breadth: there is nothing beneath.
+    Infinite where the surface is out of reach: there is nothing beneath.
     """
-    distance, nearest = inner.tree.query(form.points, k=_NEAREST)
-    weights = 1 / np.maximum(distance, 1e-3)[..., None]
-    weights = (weights / weights.sum(axis=1, keepdims=True)).astype(np.float32)
-    normal = (inner.normals[nearest] * weights).sum(axis=1)
+    distance, nearest = cKDTree(beneath).query(points, k=_NEAREST, distance_upper_bound=_REACH)
+    here = np.isfinite(distance)
+    nearest = np.where(here, nearest, 0)
+    weights = np.where(here, 1 / np.maximum(distance, 1e-3), 0)
+    weights = (weights / np.maximum(weights.sum(axis=1, keepdims=True), 1e-9))[..., None].astype(np.float32)
+    normal = (normals[nearest] * weights).sum(axis=1)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-6)
-    base = (inner.points[nearest] * weights).sum(axis=1)
-    height = np.einsum("nk,nk->n", form.points - base, normal)
-    return np.where(distance[:, 0] > 0.1, np.inf, height).astype(np.float32), normal
+    base = (beneath[nearest] * weights).sum(axis=1)
+    height = np.einsum("nk,nk->n", points - base, normal)
+    return np.where(here[:, 0], height, np.inf).astype(np.float32), normal.astype(np.float32)
 
 
-def smooth_field(maps: LayerMaps, need: Floats, normal: Floats) -> Floats:
-    """A smooth displacement (N, 3) m over the texels with u·normal ≥ need where need > 0.
+def smooth_field(smoothing: sparse.csr_matrix, need: Floats, along: Floats) -> Floats:
+    """A smooth displacement u (N, 3) m with u · along ≥ need where need > 0.
 
     Arguments:
-        need: (N,) m ≥ 0. normal: (N, 3) unit directions.
+        smoothing: (N, N) rows that average the linked texels. need: (N,) m ≥ 0. along: (N, 3) unit.
     """
-    count = len(maps)
-    first, second = _edges(maps)
-    degree = np.maximum(np.bincount(first, minlength=count), 1).astype(np.float32)[:, None]
-    asks = need > 0
-    field = np.asarray(need[:, None] * normal, np.float32)
+    asks = np.flatnonzero(need > 0)
+    wanted, direction = need[asks], along[asks]
+    field = np.zeros_like(along)
+    field[asks] = wanted[:, None] * direction
     for _ in range(_ITERATIONS):
-        total = np.stack(
-            [np.bincount(first, weights=field[second, k], minlength=count) for k in range(3)], axis=1
-        )
-        field = (_FADING * (0.5 * field + 0.5 * total / degree)).astype(np.float32)
-        lacking = np.where(asks, np.clip(need - np.einsum("nk,nk->n", field, normal), 0, None), 0)
-        field += lacking[:, None] * normal
+        field = (0.5 * _FADING) * (field + smoothing @ field)
+        lacking = np.clip(wanted - np.einsum("nk,nk->n", field[asks], direction), 0, None)
+        field[asks] += lacking[:, None] * direction
     return np.asarray(field, np.float32)
 
 
-def _edges(maps: LayerMaps) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Both directions of every link between texels: neighbours in a view, and seams between views."""
+def _smoothing(maps: LayerMaps) -> sparse.csr_matrix:
+    """Means over neighbours in a view and across seams; a texel without any keeps its own value."""
+    count = len(maps)
     neighbours, seams = maps.neighbours.numpy(), maps.seams.numpy()
     start, side = np.nonzero(neighbours >= 0)
     first = np.concatenate([start, seams[:, 0], seams[:, 1]])
     second = np.concatenate([neighbours[start, side], seams[:, 1], seams[:, 0]])
-    return first, second
+    alone = np.setdiff1d(np.arange(count), first)
+    first, second = np.concatenate([first, alone]), np.concatenate([second, alone])
+    degree = np.bincount(first, minlength=count).astype(np.float32)
+    return sparse.csr_matrix((1 / degree[first], (first, second)), shape=(count, count), dtype=np.float32)

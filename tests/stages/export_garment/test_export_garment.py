@@ -18,14 +18,39 @@ from stages.shared.outfit.layer import layer_of_bundle
 from tests.shared.outfit.wardrobe import make_subject, worn
 
 
-def test_the_layer_in_the_file_is_the_trained_one(wardrobe: Path) -> None:
-    layer = layer_of_bundle(read_bundle(wardrobe / "lower.gwg"))
+@pytest.mark.parametrize("precision", ["float16", "float32"])
+def test_the_layer_in_the_file_is_the_trained_one(
+    precision: str, dressed_subject: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "lower.gwg"
+    stage.run(dressed_subject, path, ExportGarmentConfig(precision=precision, preview_size=16))
+    layer = layer_of_bundle(read_bundle(path))
     expected = worn("lower")
     assert layer.name == "lower" and layer.slots == ("lower",)
     still = torch.eye(4).expand(55, 4, 4)
     for name in ("offsets", "quaternions", "scales", "opacities", "colors"):
-        assert torch.equal(getattr(layer.model(still), name), getattr(expected.model(still), name)), name
+        found, wanted = getattr(layer.model(still), name), getattr(expected.model(still), name)
+        assert torch.allclose(found, wanted, rtol=0, atol=0 if precision == "float32" else 1e-3), name
     assert torch.equal(layer.maps.positions, expected.maps.positions)
+    assert torch.equal(layer.maps.spacing, expected.maps.spacing)
+    assert torch.allclose(layer.maps.skin_weights.sum(dim=1), torch.ones(len(layer.maps)), atol=1e-6)
+
+
+def test_half_precision_halves_the_file(dressed_subject: Path, tmp_path: Path) -> None:
+    sizes = {}
+    for precision in ("float16", "float32"):
+        config = ExportGarmentConfig(layer="upper", precision=precision, preview_size=16)
+        sizes[precision] = stage.run(dressed_subject, tmp_path / f"{precision}.gwg", config).summary["bytes"]
+    assert sizes["float16"] < 0.65 * sizes["float32"]
+    with pytest.raises(UsageProblem, match="precision"):
+        stage.run(dressed_subject, tmp_path / "x.gwg", ExportGarmentConfig(precision="float8"))
+
+
+def test_a_body_says_what_its_covered_skin_is(wardrobe: Path) -> None:
+    body, garment = read_bundle(wardrobe / "body.gwg"), read_bundle(wardrobe / "upper.gwg")
+    assert np.allclose(body.arrays["joints"], garment.arrays["joints"])
+    # The tubes have no hands, so there is no skin to spread from; what is there is tested with them.
+    assert not body.group("skin")
 
 
 def test_a_garment_carries_the_body_beneath_it(wardrobe: Path) -> None:

@@ -1,0 +1,60 @@
+"""A garment that was learned with one body model, on a body of another.
+
+Bones have the same names and the same canonical pose in every body model of the SMPL-X convention, but they
+are not in the same places, and shape coefficients mean something else. The garment's points move with the
+bones' canonical places, and its weights and shape directions become those of the wearer's nearest texels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from stages.shared.artifacts.bundle import Bundle
+from stages.shared.body import BodyModel, canonical_from_rest, shaped_joints
+from stages.shared.outfit.layer import WornLayer
+
+_NEAREST = 8
+_LEAST_DISTANCE = 1e-3  # m
+
+
+def canonical_joints(body: BodyModel) -> NDArray[np.float32]:
+    """(55, 3) f32 m: joints of the zero shape in the canonical pose."""
+    zero = torch.zeros(10)
+    rest = shaped_joints(body, zero)
+    transforms = canonical_from_rest(body, zero)
+    placed = (transforms[:, :3, :3] @ rest[:, :, None]).squeeze(-1) + transforms[:, :3, 3]
+    return placed.numpy().astype(np.float32)
+
+
+def convertible(garment: Bundle) -> bool:
+    """Whether a bundle says where the bones were that it was learned with."""
+    return "joints" in garment.arrays
+
+
+def rebound(garment: WornLayer, joints: NDArray[np.float32], body: WornLayer, model: BodyModel) -> WornLayer:
+    """The garment as if it had been learned with the wearer's body model; its networks stay as they are.
+
+    Arguments:
+        joints: (55, 3) m canonical, of the body model the garment was learned with.
+        body, model: the wearer's layer and body model.
+    """
+    maps = garment.maps
+    shift = torch.from_numpy(canonical_joints(model) - joints)
+    positions = maps.positions + maps.skin_weights @ shift
+    distance, nearest = cKDTree(body.maps.positions.numpy()).query(positions.numpy(), k=_NEAREST)
+    weights = 1 / np.maximum(distance, _LEAST_DISTANCE)
+    weights = torch.from_numpy((weights / weights.sum(axis=1, keepdims=True)).astype(np.float32))
+    near = torch.from_numpy(nearest)
+    new = replace(
+        maps,
+        positions=positions,
+        skin_weights=(body.maps.skin_weights[near] * weights[..., None]).sum(dim=1),
+        shape_directions=(body.maps.shape_directions[near] * weights[..., None, None]).sum(dim=1),
+        centre=body.maps.centre,  # each grid is centred on its own body: texels mean the same places
+    )
+    return replace(garment, maps=new, beneath=None)

@@ -1,0 +1,131 @@
+"""Skin that was covered when the body was learned, and is bare in another outfit.
+
+No image ever saw it: its colour is what a loss left there, and learning pushed it inwards, out of the way of
+the clothes it was learned with. Where nothing covers it now, it takes the colour and the height over the
+template of the skin around: values of seen skin, spread over the covered texels by averaging.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.linalg import cg
+from torch import Tensor
+
+from stages.shared.avatar.deform import Attributes
+from stages.shared.avatar.maps import LayerMaps
+from stages.shared.losses.covered_skin import hand_texels
+from stages.shared.outfit.coverage import FEATHER, covered_weights, same_grid
+from stages.shared.outfit.layer import Skin, WornLayer
+
+_LIKE_SKIN = 0.25  # distance in sRGB from the colour of the hands; hair and shoes are farther
+_LARGEST = 0.01  # m, of the height over the template that is carried on
+_PULL = 1e-3  # towards the mean, where no seen skin is linked
+
+Floats = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Restoration:
+    """What bare skin becomes.
+
+    Attributes:
+        weights: (N, 1) of the body's texels, 0 keep to 1 replace. offsets: (N, 3) m. colors: (N, 3) sRGB.
+    """
+
+    weights: Tensor
+    offsets: Tensor
+    colors: Tensor
+
+    @property
+    def count(self) -> int:
+        """Body texels that change."""
+        return int((self.weights > 0).sum())
+
+
+def spread_skin(
+    maps: LayerMaps, garments: Sequence[LayerMaps], offsets: Tensor, colors: Tensor
+) -> Skin | None:
+    """What a body bundle carries about its covered texels; None where nothing is covered or no skin was seen.
+
+    Arguments:
+        maps: of the body. garments: those it was learned with.
+        offsets: (N, 3) m and colors: (N, 3) sRGB of the body's texels, means over poses.
+    """
+    covered = np.zeros(len(maps), np.float32)
+    for garment in garments:
+        covered = np.maximum(covered, covered_weights(maps, garment, FEATHER))
+    seen = covered == 0
+    hands = hand_texels(maps.skin_weights).numpy() & seen
+    if not (covered > 0).any() or not hands.any():
+        return None
+    plain = colors.numpy()
+    skin = np.median(plain[hands], axis=0)
+    known = seen & (np.linalg.norm(plain - skin, axis=1) < _LIKE_SKIN)
+    normals = torch.nn.functional.normalize(maps.normals, dim=1).numpy()
+    height = np.clip(np.einsum("nk,nk->n", offsets.numpy(), normals), -_LARGEST, _LARGEST)
+    values = np.concatenate([plain, height[:, None]], axis=1)
+    filled = _spread(maps, values, known, seen & ~known, np.append(skin, np.median(height[known])))
+    return Skin(
+        torch.from_numpy(covered),
+        torch.from_numpy((filled[:, 3:] * normals).astype(np.float32)),
+        torch.from_numpy(np.clip(filled[:, :3], 0, 1).astype(np.float32)),
+    )
+
+
+def plan_restoration(body: WornLayer, garments: Sequence[WornLayer]) -> Restoration | None:
+    """What of the body is bare in this outfit that was not when it was learned; None for nothing."""
+    if body.skin is None:
+        return None
+    worn = np.zeros(len(body.maps), np.float32)
+    for garment in garments:
+        if same_grid(body.maps, garment.maps):
+            worn = np.maximum(worn, covered_weights(body.maps, garment.maps, FEATHER))
+    weights = torch.clamp(body.skin.covered - torch.from_numpy(worn), 0, 1)[:, None]
+    if not bool((weights > 0).any()):
+        return None
+    return Restoration(weights, body.skin.offsets, body.skin.colors)
+
+
+def restored(attributes: Attributes, restoration: Restoration | None) -> Attributes:
+    """Body attributes with bare skin as it should be."""
+    if restoration is None:
+        return attributes
+    return replace(
+        attributes,
+        offsets=torch.lerp(attributes.offsets, restoration.offsets, restoration.weights),
+        colors=torch.lerp(attributes.colors, restoration.colors, restoration.weights),
+    )
+
+
+def _spread(
+    maps: LayerMaps, values: Floats, known: NDArray[np.bool_], apart: NDArray[np.bool_], mean: Floats
+) -> Floats:
+    """(N, C) `values` where `known`; elsewhere the mean of the linked texels (a discrete harmonic field).
+
+    Arguments:
+        apart: texels that give nothing and take nothing, as shoes. mean: (C,) what is far from all known.
+    """
+    neighbours, seams = maps.neighbours.numpy(), maps.seams.numpy()
+    start, side = np.nonzero(neighbours >= 0)
+    first = np.concatenate([start, seams[:, 0], seams[:, 1]])
+    second = np.concatenate([neighbours[start, side], seams[:, 1], seams[:, 0]])
+    linked = ~apart[first] & ~apart[second]
+    first, second = first[linked], second[linked]
+    count = len(maps)
+    links = sparse.csr_matrix((np.ones(len(first)), (first, second)), shape=(count, count))
+    links = links.maximum(links.T)
+    wanted = np.flatnonzero(~known & ~apart)
+    degree = np.asarray(links.sum(axis=1)).ravel()[wanted]
+    matrix = sparse.diags(degree + _PULL) - links[wanted][:, wanted]
+    found = np.array(values, np.float32)
+    given = np.flatnonzero(known)
+    for channel in range(values.shape[1]):
+        right = links[wanted][:, given] @ values[given, channel] + _PULL * mean[channel]
+        found[wanted, channel] = cg(matrix, right, x0=np.full(len(wanted), mean[channel]), rtol=1e-5)[0]
+    return found

@@ -31,9 +31,12 @@ class FramePose:
 
 
 def frame_pose(body: BodyModel, rotations: Tensor, translation: Tensor, betas: Tensor) -> FramePose:
-    """Pose from joint rotations (55, 3) axis-angle rad, root translation (3,) m and shape (10,)."""
+    """Pose from joint rotations (55, 3) axis-angle rad, root translation (3,) m and shape (10,).
+
+    Leading axes of rotations and translation are kept: many moments at once.
+    """
     local = rotations.clone()
-    local[0] = 0.0
+    local[..., 0, :] = 0.0
     zero = torch.zeros_like(translation)
     return FramePose(
         transforms=posed_from_canonical(body, rotations, translation, betas),

@@ -9,10 +9,12 @@ import numpy as np
 import torch
 
 from stages.shared.avatar.compose import Composite
-from stages.shared.avatar.pose import frame_pose
+from stages.shared.avatar.pose import FramePose, frame_pose
 from stages.shared.avatar.posing import PosedBuffers, PosedLayer, Replacement
 from stages.shared.body import Poses
 from stages.shared.outfit.outfit import Outfit
+
+_MOMENTS = 64  # bones of so many rows are posed together; one at a time costs as much as a layer
 
 
 class Player:
@@ -24,8 +26,10 @@ class Player:
 
     def __init__(self, outfit: Outfit) -> None:
         self.outfit = outfit
-        # Push-out needs normals, and baselines bring labels of their own: these take the plain way.
-        self._plain = bool(outfit.pushes) or any(layer.layer_ids is not None for layer in outfit.layers)
+        # Push-out needs normals, restored skin other colours, baselines labels of their own: the plain way.
+        special = outfit.pushes or outfit.restoration is not None
+        self._plain = bool(special) or any(layer.layer_ids is not None for layer in outfit.layers)
+        self._bones: tuple[Poses, int, FramePose] | None = None
         betas = torch.from_numpy(outfit.betas)
         swaps = tuple(
             Replacement(swap.weights[:, 0].numpy(), swap.offsets.numpy(), swap.quaternions.numpy())
@@ -59,11 +63,18 @@ class Player:
         """All Gaussians in the pose of a row of `poses`; overwritten by the next call."""
         if self._plain:
             return self.outfit.composite(poses, frame)
-        rotations, translation = poses.rotations[frame], poses.translation[frame]
-        pose = frame_pose(
-            self.outfit.body_model,
-            *(torch.from_numpy(array) for array in (rotations, translation, self.outfit.betas)),
-        )
+        pose = self._posed_bones(poses, frame)
         for posed, out in zip(self._layers, self._parts, strict=True):
             posed.pose(pose.local_transforms, pose.transforms, out)
         return self._composite
+
+    def _posed_bones(self, poses: Poses, frame: int) -> FramePose:
+        """The bones of one row, from those of its block of rows."""
+        first = frame - frame % _MOMENTS
+        if self._bones is None or self._bones[0] is not poses or self._bones[1] != first:
+            rows = slice(first, first + _MOMENTS)
+            arrays = (poses.rotations[rows], poses.translation[rows], self.outfit.betas)
+            moments = frame_pose(self.outfit.body_model, *(torch.from_numpy(array) for array in arrays))
+            self._bones = (poses, first, moments)
+        block = self._bones[2]
+        return FramePose(block.transforms[frame - first], block.local_transforms[frame - first], block.betas)

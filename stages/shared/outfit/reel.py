@@ -39,6 +39,7 @@ from stages.shared.export.splats import write_splats
 from stages.shared.outfit.outfit import Outfit
 from stages.shared.outfit.penetration import PenetrationConfig
 from stages.shared.outfit.picture import Shot, straight_alpha, take_picture, to_bytes
+from stages.shared.outfit.player import Player
 from stages.shared.pictures.background import WHITE, Background
 from stages.shared.pictures.parts import RECORDS, Share
 from stages.shared.pictures.sheet import chosen, contact_sheet, shrunk
@@ -158,8 +159,9 @@ def write_frames(
         )
     mine = share.of(frames)
     missing = [frame for frame in mine if not _record(folder, frame.row).exists()]
+    player = Player(outfit)
     for index, frame in enumerate(missing):
-        counted = _write_frame(folder, outfit, poses, frame, config)
+        counted = _write_frame(folder, player, poses, frame, config)
         content = {
             "pictures": counted.pictures,
             "seconds": counted.seconds,
@@ -200,12 +202,12 @@ def check_passes(passes: tuple[str, ...]) -> None:
 
 
 def _write_frame(
-    folder: Path, outfit: Outfit, poses: Poses, frame: ReelFrame, config: ReelConfig
+    folder: Path, player: Player, poses: Poses, frame: ReelFrame, config: ReelConfig
 ) -> ReelSummary:
     """All files of one moment, and what was counted."""
     counted = ReelSummary()
     started = time.perf_counter()
-    composite = outfit.composite(poses, frame.row)
+    composite = player.composite(poses, frame.row)
     counted.clock("pose", started)
     if config.exports:
         started = time.perf_counter()

@@ -105,7 +105,7 @@ def test_exports_are_the_posed_gaussians(wardrobe: Path, tmp_path: Path) -> None
     result = stage.run(bundles, wardrobe / "motion.npz", None, tmp_path / "out", config)
     assert result.summary["pictures"] == 0 and result.summary["video"] is None
     assert not (tmp_path / "out/frames").exists() and not (tmp_path / "out/records").exists()
-    for kind, loss in (("ply", 1e-6), ("glb", 1e-6), ("spz", 1e-5)):
+    for kind, loss in (("ply", 5e-6), ("glb", 5e-6), ("spz", 1e-5)):
         folder = tmp_path / "out" / kind
         names = sorted(path.name for path in folder.iterdir())
         assert names == ["export_notes.json", f"frame000001.{kind}", f"frame000003.{kind}"]

@@ -31,6 +31,8 @@ COMMANDS: tuple[str, ...] = (
     "demo",
     "status",
     "verify",
+    "clean",
+    "doctor",
     "bench",
 )
 

@@ -83,6 +83,37 @@ def test_a_touched_input_shows_its_name_the_reasons_and_the_next_command(
     assert {row["stage"] for row in found["stages"] if row["state"] == "stale"} == expected
 
 
+def test_new_files_beside_the_inputs_are_seen(tmp_path: Path) -> None:
+    """Where a stage read everything there was, a new file or a new camera is news; elsewhere it is not."""
+    capture = tmp_path / "capture"
+    for camera in ("cam0", "cam1"):
+        for name in ("0.jpg", "1.jpg"):
+            (capture / camera).mkdir(parents=True, exist_ok=True)
+            (capture / camera / name).write_bytes(f"{camera}{name}".encode())
+    for name in ("a.png", "b.png", "c.png"):
+        (capture / name).write_bytes(name.encode())
+    read = [*sorted(capture.glob("cam*/*.jpg")), capture / "a.png", capture / "b.png"]
+    workspace = Workspace(tmp_path / "subject")
+    spec = BY_NAME["register-template"]
+    with workspace.build(spec, {}, {"capture/all": ExternalFiles("capture/all", capture, read)}) as build:
+        build.write_arrays("numbers", {"x": np.arange(3)})
+
+    def reasons() -> list[str]:
+        _, stdout, _ = gw("status", workspace.root, "--json")
+        found = result(stdout)["stages"][0]
+        assert found["state"] == ("stale" if found["reasons"] else "up to date")
+        return list(found["reasons"])
+
+    assert reasons() == []
+    (capture / "d.png").write_bytes(b"one of the pictures that were not all read")
+    (capture / "cam0" / "notes.txt").write_bytes(b"of another kind")
+    assert reasons() == []
+    (capture / "cam0" / "2.jpg").write_bytes(b"new frame")
+    assert reasons() == ["capture/all: cam0/2.jpg is new"]
+    (capture / "cam2").mkdir()
+    assert reasons() == ["capture/all: cam0/2.jpg is new", "capture/all: cam2 is new"]
+
+
 def test_a_preset_is_compared_on_request(subject: Path) -> None:
     code, stdout, _ = gw("status", subject, "--preset", "tiny", "--json")
     assert code == 0

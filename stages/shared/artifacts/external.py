@@ -103,7 +103,8 @@ def newcomers(listing: Iterable[str], root: Path, complete: Iterable[str]) -> li
     for folder in complete:
         if folder.endswith("/"):
             known = {name.rpartition("/")[2] for name in kinds if name.rpartition("/")[0] == folder[:-1]}
-            found += [f"{folder}{name}" for name in sorted(_folders(root / folder) - known)]
+            new = sorted(_folders(root / folder.strip("/")) - known)
+            found += [f"{folder}{name}".removeprefix("/") for name in new]
         elif folder in kinds:
             others = _others(root / folder, *kinds[folder])
             found += [f"{folder}/{name}" if folder else name for name in sorted(others)]

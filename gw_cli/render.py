@@ -49,6 +49,10 @@ def register(app: typer.Typer) -> None:
         output: Annotated[
             Path | None, typer.Option("-o", "--output", help="Folder of film and frames; default: render.")
         ] = None,
+        html: Annotated[
+            Path | None,
+            typer.Option(help="Write one page that shows the first frame from all sides; alone unless -o."),
+        ] = None,
         camera: Annotated[
             str,
             typer.Option(help="static | orbit | PATH.json; with --cameras the name of one camera."),
@@ -89,6 +93,8 @@ def register(app: typer.Typer) -> None:
 
         gw render body.gwg skirt.gwg --poses walk.bvh --export ply,spz --no-pictures -o splats
 
+        gw render body.gwg skirt.gwg --poses canonical --html skirt.html
+
         gw render SUBJECT --cameras CAPTURE --passes depth,layers -o views
 
         A JSON file as --camera holds keys between which the camera glides:
@@ -100,7 +106,7 @@ def register(app: typer.Typer) -> None:
         command with --shard 1/4 to --shard 4/4 into the same -o, and then once without --shard, which puts
         the parts together (and renders what is missing).
         """
-        from stages.render import stage
+        from stages.render import page, stage
         from stages.render.config import PRESETS
 
         console = Console(as_json)
@@ -126,11 +132,19 @@ def register(app: typer.Typer) -> None:
             swap=swap,
             penetration=penetration,
         )
+        if html is not None and output is None:
+            if dry_run:
+                console.plan(page.plan(sources, poses, cameras, html, config))
+                return
+            console.result(page.run(sources, poses, cameras, html, config, console), f"open {html}")
+            return
         target = output or Path("render")
         if dry_run:
             console.plan(stage.plan(sources, poses, cameras, target, config))
             return
         result = stage.run(sources, poses, cameras, target, config, console)
+        if html is not None:
+            page.run(sources, poses, cameras, html, config, console)
         following = f"gw evaluate --frames {result.path} --truth {cameras}" if cameras else None
         if not result.complete:
             following = f"{_without_shard(sys.argv)}   (when all parts are done)"

@@ -1,0 +1,118 @@
+"""A page that shows one moment of an outfit from all sides: one file, opened from disk, without a server.
+
+Reads: what `gw render` reads. Writes: one HTML file with the Gaussians inside (24 bytes each, as base64), the
+code that draws them, and switches for layers; it asks for nothing from anywhere.
+"""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from stages.render.config import RenderConfig
+from stages.render.scene import Scene, open_scene
+from stages.shared.artifacts import write_whole
+from stages.shared.errors import UsageProblem
+from stages.shared.pictures.background import read_background
+from stages.shared.plan import Plan
+from stages.shared.report import SILENT, Report
+from stages.shared.web.pack import pack_gaussians
+from stages.shared.web.start import orbit_start, viewer_script
+
+
+def run(
+    sources: Sequence[Path],
+    poses_path: Path | None,
+    cameras_path: Path | None,
+    output: Path,
+    config: RenderConfig = RenderConfig(),
+    report: Report = SILENT,
+) -> dict[str, Any]:
+    """Write the page of the first frame that `config` names; returns path, row, layers, Gaussians, bytes.
+
+    Raises:
+        UsageProblem: what cannot be meant; an output that is a folder. MissingInput, BadData: inputs.
+        StorageFailure: disk full.
+    """
+    color, scene = _checked(output, config), _open(sources, poses_path, cameras_path, config)
+    report.step("writing the page")
+    frame = scene.frames[0]
+    composite = scene.outfit.composite(scene.poses, frame.row)
+    page = turntable(
+        pack_gaussians(composite),
+        orbit_start(frame.cameras[0], composite),
+        color,
+        " + ".join(composite.layers),
+    )
+    write_whole(output, page)
+    return {
+        "page": str(output),
+        "frame": frame.row,
+        "layers": list(scene.outfit.names),
+        "gaussians": scene.outfit.gaussians,
+        "bytes": len(page),
+    }
+
+
+def plan(
+    sources: Sequence[Path],
+    poses_path: Path | None,
+    cameras_path: Path | None,
+    output: Path,
+    config: RenderConfig = RenderConfig(),
+) -> Plan:
+    """What `run` would read, write and cost."""
+    _checked(output, config)
+    scene = _open(sources, poses_path, cameras_path, config)
+    count = scene.outfit.gaussians
+    return Plan(
+        inputs=[str(path) for path in (*sources, poses_path, cameras_path) if path is not None],
+        outputs=[str(output)],
+        config={**asdict(config), "layers": list(scene.outfit.names)},
+        seconds=3.0 + 1e-5 * count,
+        memory_bytes=600_000_000 + 3000 * count,
+        disk_bytes=20_000 + 32 * count,
+    )
+
+
+def turntable(packed: bytes, start: dict[str, object], background: str, title: str) -> bytes:
+    """The page as bytes. start: `orbit_start`'s. background: #rrggbb."""
+    text = resources.files("stages.render").joinpath("turntable.html").read_text("utf-8")
+    for name, value in (
+        ("TITLE", html.escape(title)),
+        ("BACKGROUND", background),
+        ("START", json.dumps(start)),
+        ("VIEWER", viewer_script()),
+        ("GAUSSIANS", base64.b64encode(packed).decode()),
+    ):
+        text = text.replace(f"@{name}@", value)
+    return text.encode()
+
+
+def _open(
+    sources: Sequence[Path], poses_path: Path | None, cameras_path: Path | None, config: RenderConfig
+) -> Scene:
+    """The scene, with a camera that stands still where the configuration names none."""
+    orbiting = replace(config, camera="static") if config.camera == "orbit" else config
+    return open_scene(sources, poses_path, cameras_path, orbiting)
+
+
+def _checked(output: Path, config: RenderConfig) -> str:
+    """The background as #rrggbb; white for a transparent one."""
+    if output.is_dir():
+        raise UsageProblem(
+            "A folder is in the place of the page.", str(output), "Name a file, as --html a.html."
+        )
+    background = read_background(config.background)
+    if background.picture is not None:
+        raise UsageProblem(
+            "A page has a plain background.", "option --background", "Give a colour together with --html."
+        )
+    color = background.color or (1.0, 1.0, 1.0)
+    return "#" + "".join(f"{round(255 * value):02x}" for value in color)

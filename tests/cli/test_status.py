@@ -111,7 +111,7 @@ def test_new_files_beside_the_inputs_are_seen(tmp_path: Path) -> None:
     (capture / "cam0" / "2.jpg").write_bytes(b"new frame")
     assert reasons() == ["capture/all: cam0/2.jpg is new"]
     (capture / "cam2").mkdir()
-    assert reasons() == ["capture/all: cam0/2.jpg is new", "capture/all: cam2 is new"]
+    assert reasons() == ["capture/all: cam2 is new", "capture/all: cam0/2.jpg is new"]
 
 
 def test_a_preset_is_compared_on_request(subject: Path) -> None:

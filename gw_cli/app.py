@@ -24,6 +24,8 @@ COMMANDS: tuple[str, ...] = (
     "train",
     "distill",
     "export_garment",
+    "inspect",
+    "wardrobe",
     "tryon",
     "render",
     "evaluate",
@@ -33,6 +35,7 @@ COMMANDS: tuple[str, ...] = (
     "verify",
     "clean",
     "doctor",
+    "pipeline",
     "bench",
 )
 

@@ -1,0 +1,101 @@
+"""The stage table as a Snakefile: one rule a stage, one job a subject.
+
+A rule's output is the stage's `current.json`, which `gw` replaces atomically when an artifact is finished: a
+killed job leaves the old one or none, so there is nothing half-made for Snakemake to mistake for a result.
+`gw` itself knows what is up to date; Snakemake decides where and in which order.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from stages.pipeline import PIPELINE
+from stages.shared.artifacts.spec import StageSpec
+from stages.shared.errors import MissingInput, UsageProblem
+
+# Threads, memory and time a job asks for; multiplied on every retry.
+_RESOURCES = {"train": (2, 4000, 240)}
+_DEFAULT = (2, 3000, 60)
+_WITH_PRESET = {"canonicalize", "segment-layers", "bake-maps", "train"}
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
+
+_HEADER = '''"""Made by `gw pipeline --emit snakefile`. Run: snakemake --cores 2, or with a Slurm profile."""
+
+CAPTURES = {captures}
+WORKSPACES = "{workspaces}"
+PRESET = config.get("preset", "{preset}")
+
+
+rule all:
+    input:
+        expand(WORKSPACES + "/{{subject}}/{last}/current.json", subject=CAPTURES),
+'''
+
+_RULE = """
+
+rule {rule}:
+    input:
+{inputs}
+    output:
+        update(WORKSPACES + "/{{subject}}/{stage}/current.json"),
+    log:
+        WORKSPACES + "/logs/{{subject}}.{stage}.log",
+    threads: {threads}
+    resources:
+        mem_mb=lambda wildcards, attempt: {memory} * attempt,
+        runtime=lambda wildcards, attempt: {minutes} * attempt,
+    params:
+        capture=lambda wildcards: CAPTURES[wildcards.subject],
+    shell:
+        "{command} > {{log}} 2>&1"
+"""
+
+
+def subjects(captures: Sequence[Path]) -> dict[str, str]:
+    """Name of each subject and where its capture is: the capture's folder name.
+
+    Raises:
+        MissingInput: a capture is not there. UsageProblem: a name that cannot be a folder's, or stands twice.
+    """
+    found: dict[str, str] = {}
+    for capture in captures:
+        if not capture.is_dir():
+            raise MissingInput("There is no such capture.", str(capture), "Give folders of captures.")
+        name = capture.resolve().name
+        if not _NAME.fullmatch(name) or name in found:
+            raise UsageProblem(
+                f"{name!r} cannot be the name of a subject here, or stands twice.",
+                str(capture),
+                "Give captures whose folders have different names of letters, digits, dot, dash.",
+            )
+        found[name] = str(capture)
+    return found
+
+
+def snakefile(captures: Mapping[str, str], workspaces: str, preset: str) -> str:
+    """Text of a Snakefile that takes every capture through all stages."""
+    listed = "{\n" + "".join(f"    {name!r}: {place!r},\n" for name, place in captures.items()) + "}"
+    header = _HEADER.format(captures=listed, workspaces=workspaces, preset=preset, last=PIPELINE[-1].name)
+    return header.replace("'", '"') + "".join(_rule(spec) for spec in PIPELINE)
+
+
+def _rule(spec: StageSpec) -> str:
+    threads, memory, minutes = _RESOURCES.get(spec.name, _DEFAULT)
+    inputs = [f'        WORKSPACES + "/{{subject}}/{read}/current.json",' for read in spec.reads]
+    if not spec.reads:
+        inputs = ["        lambda wildcards: CAPTURES[wildcards.subject],"]
+    words = {"SUBJECT": "{WORKSPACES}/{wildcards.subject}", "CAPTURE": "{params.capture:q}"}
+    command = " ".join(words.get(word, word) for word in spec.command.split())
+    if spec.name in _WITH_PRESET:
+        command += " --preset {PRESET}"
+    return _RULE.format(
+        rule=spec.name.replace("-", "_"),
+        inputs="\n".join(inputs),
+        stage=spec.name,
+        threads=threads,
+        memory=memory,
+        minutes=minutes,
+        command=command,
+    )

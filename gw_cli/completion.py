@@ -1,0 +1,76 @@
+"""What the shell offers at the Tab key: presets, subjects, layers, bundles, artifacts.
+
+Called by every press of the key, so nothing here imports more than the standard library, and nothing here may
+fail: what cannot be read is not offered.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+PRESETS = ("tiny", "draft", "balanced", "paper")
+LAYERS = ("body", "lower", "upper", "outer")
+_MOST_FOLDERS = 200
+
+
+def presets(incomplete: str) -> list[str]:
+    """Names of presets."""
+    return [name for name in PRESETS if name.startswith(incomplete)]
+
+
+def devices(incomplete: str) -> list[str]:
+    """Kinds of device."""
+    return [name for name in ("auto", "cpu", "cuda") if name.startswith(incomplete)]
+
+
+def subjects(incomplete: str) -> list[str]:
+    """Folders beside what was typed that are workspaces of subjects."""
+    return [str(folder) for folder in _folders(incomplete) if (folder / "subject.json").is_file()]
+
+
+def layers(ctx: Any, incomplete: str) -> list[str]:
+    """Layers of the subject that was named, or all there can be."""
+    subject = ctx.params.get("subject") if ctx is not None else None
+    there = _layers_of(Path(str(subject))) if subject else []
+    return [name for name in there or LAYERS if name.startswith(incomplete)]
+
+
+def bundles(incomplete: str) -> list[str]:
+    """Garments and bodies (.gwg), and folders on the way to them."""
+    files = [str(path) for path in _beside(incomplete) if path.suffix == ".gwg" and path.is_file()]
+    return files + [f"{folder}/" for folder in _folders(incomplete)]
+
+
+def artifacts(incomplete: str) -> list[str]:
+    """What `gw verify` takes: subjects and bundles."""
+    return subjects(incomplete) + bundles(incomplete)
+
+
+def _layers_of(subject: Path) -> list[str]:
+    """Layers that were baked for a subject, in the order of dressing."""
+    try:
+        key = json.loads((subject / "bake-maps" / "current.json").read_text())["key"]
+        manifest = json.loads((subject / "bake-maps" / str(key) / "manifest.json").read_text())
+        there = manifest["summary"]["layers"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return []
+    return [name for name in LAYERS if name in there]
+
+
+def _folders(incomplete: str) -> list[Path]:
+    return [path for path in _beside(incomplete) if path.is_dir() and not path.name.startswith(".")]
+
+
+def _beside(incomplete: str) -> Iterator[Path]:
+    """Paths that begin with what was typed."""
+    typed = Path(incomplete)
+    parent, start = (typed, "") if incomplete.endswith("/") or not incomplete else (typed.parent, typed.name)
+    try:
+        names = sorted(path.name for path in parent.iterdir() if path.name.startswith(start))
+    except OSError:
+        return
+    for name in names[:_MOST_FOLDERS]:
+        yield parent / name

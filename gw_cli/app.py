@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import importlib
 import os
+from importlib import metadata
+from typing import Annotated
 
 import typer
 
@@ -39,6 +41,16 @@ COMMANDS: tuple[str, ...] = (
     "bench",
 )
 
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        try:
+            typer.echo(metadata.version("gaussian-wardrobe"))
+        except metadata.PackageNotFoundError:
+            typer.echo("not installed")
+        raise typer.Exit
+
+
 app = typer.Typer(
     name="gw",
     help="Learn a body and its garments from multi-view video; wear them elsewhere.",
@@ -46,6 +58,16 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+
+
+@app.callback()
+def group(
+    version: Annotated[
+        bool, typer.Option("--version", is_eager=True, callback=_show_version, help="Show the version.")
+    ] = False,
+) -> None:
+    """Learn a body and its garments from multi-view video; wear them elsewhere."""
+
 
 for _name in COMMANDS:
     importlib.import_module(f"gw_cli.{_name}").register(app)

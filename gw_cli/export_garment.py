@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from gw_cli.completion import layers
 from gw_cli.console import Console, command
 from gw_cli.options import Distilled, DryRun, Json, Preset, Subject, preset_config
 
@@ -17,7 +18,7 @@ def register(app: typer.Typer) -> None:
     @command
     def export_garment(
         subject: Subject,
-        layer: Annotated[str, typer.Option(help="body | lower | upper | outer.")],
+        layer: Annotated[str, typer.Option(help="body | lower | upper | outer.", autocompletion=layers)],
         output: Annotated[
             Path | None, typer.Option("-o", "--output", help="The file; default: LAYER.gwg.")
         ] = None,

@@ -6,19 +6,30 @@ from pathlib import Path
 from typing import Annotated, TypeVar
 
 import typer
-
 from stages.shared.errors import UsageProblem
+
+from gw_cli import completion
 
 Config = TypeVar("Config")
 
-Subject = Annotated[Path, typer.Argument(help="Workspace folder of the subject.", metavar="SUBJECT")]
+Subject = Annotated[
+    Path,
+    typer.Argument(
+        help="Workspace folder of the subject.", metavar="SUBJECT", autocompletion=completion.subjects
+    ),
+]
 Json = Annotated[bool, typer.Option("--json", help="One JSON object a line on stdout; people's text off.")]
 DryRun = Annotated[
     bool, typer.Option("--dry-run", help="Show inputs, outputs, configuration and cost; write nothing.")
 ]
-Preset = Annotated[str, typer.Option(help="tiny | draft | balanced | paper: how much to spend.")]
+Preset = Annotated[
+    str,
+    typer.Option(
+        help="tiny | draft | balanced | paper: how much to spend.", autocompletion=completion.presets
+    ),
+]
 Seed = Annotated[int, typer.Option(help="Seed of everything random.")]
-Device = Annotated[str, typer.Option(help="auto | cpu | cuda.")]
+Device = Annotated[str, typer.Option(help="auto | cpu | cuda.", autocompletion=completion.devices)]
 Force = Annotated[bool, typer.Option("--force", help="Do it again though it is up to date.")]
 
 

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from gw_cli.completion import artifacts
 from gw_cli.console import Console, command
 from gw_cli.options import Json
 
@@ -16,7 +17,12 @@ def register(app: typer.Typer) -> None:
     @app.command("verify")
     @command
     def verify(
-        path: Annotated[Path, typer.Argument(help="Workspace folder of a subject, or a bundle (.gwg).")],
+        path: Annotated[
+            Path,
+            typer.Argument(
+                help="Workspace folder of a subject, or a bundle (.gwg).", autocompletion=artifacts
+            ),
+        ],
         as_json: Json = False,
     ) -> None:
         """Read everything and compare it with the digests it was written with: a subject, or a .gwg bundle.

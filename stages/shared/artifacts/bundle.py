@@ -110,8 +110,44 @@ def read_bundle(path: Path, max_bytes: int = MAX_FILE_BYTES) -> Bundle:
         StorageFailure: the file cannot be read.
     """
     path = Path(path)
-    data = _read(path, max_bytes)
+    data, _ = _read(path, max_bytes)
     return decode_bundle(data, str(path))
+
+
+@dataclass(frozen=True)
+class BundleCard:
+    """What can be said of a bundle without reading its tensors.
+
+    Attributes:
+        manifest: as in `Bundle`. digest: as written; not compared with the tensors.
+        tensors: name to (type, shape). bytes: of the file.
+    """
+
+    manifest: dict[str, Any]
+    digest: str
+    tensors: dict[str, tuple[str, tuple[int, ...]]]
+    bytes: int
+
+
+def read_card(path: Path, max_bytes: int = MAX_FILE_BYTES) -> BundleCard:
+    """The header of a `.gwg` file, checked; its tensors are not read. Raises like `read_bundle`."""
+    path = Path(path)
+    where = str(path)
+    data, size = _read(path, max_bytes, header_only=True)
+    header = _header_bytes(data, where)
+    _checked_header(header, size - 8 - len(header), where)
+    entries = strict_json(header)
+    notes = entries.pop("__metadata__")
+    if set(notes) != {_MANIFEST, _SEAL} or not all(isinstance(note, str) for note in notes.values()):
+        raise _refused("its metadata is not that of a bundle", where)
+    text = notes[_MANIFEST].encode()
+    if digest(text) != notes[_SEAL]:
+        raise _refused("its manifest does not match its checksum", where)
+    manifest = _manifest(text, where)
+    if set(manifest.pop("tensors")) != set(entries):
+        raise _refused("its manifest speaks of other tensors than it holds", where)
+    tensors = {name: (str(entry["dtype"]), tuple(entry["shape"])) for name, entry in entries.items()}
+    return BundleCard(manifest, notes[_SEAL], tensors, size)
 
 
 def decode_bundle(data: bytearray, where: str) -> Bundle:
@@ -143,8 +179,8 @@ def verify_bundle(path: Path) -> str:
     return read_bundle(path).digest
 
 
-def _read(path: Path, max_bytes: int) -> bytearray:
-    """All bytes of a file whose size is acceptable."""
+def _read(path: Path, max_bytes: int, header_only: bool = False) -> tuple[bytearray, int]:
+    """All bytes of a file whose size is acceptable, or those of its header; and that size."""
     try:
         with path.open("rb") as stream:
             size = path.stat().st_size
@@ -153,7 +189,8 @@ def _read(path: Path, max_bytes: int) -> bytearray:
             head = stream.read(8)
             if len(head) == 8 and struct.unpack("<Q", head)[0] > min(MAX_HEADER_BYTES, size - 8):
                 raise _refused("its header claims more bytes than are allowed or there", str(path))
-            return bytearray(head + stream.read(max_bytes))
+            rest = struct.unpack("<Q", head)[0] if header_only and len(head) == 8 else max_bytes
+            return bytearray(head + stream.read(rest)), size
     except (FileNotFoundError, NotADirectoryError, IsADirectoryError) as error:
         raise MissingInput(
             "There is no such bundle.", str(path), "Export one: gw export-garment SUBJECT --layer NAME."

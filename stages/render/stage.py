@@ -130,6 +130,7 @@ def _described(scene: Scene) -> dict[str, Any]:
         "bundles": scene.digests,
         "betas": [round(float(value), 6) for value in scene.outfit.betas],
         "swapped_texels": {change.garment: change.count for change in scene.outfit.swaps},
+        "projected_frames": scene.outfit.projected_frames(scene.poses, [frame.row for frame in scene.frames]),
         "cameras": list(cameras),
         "take": scene.take.name if scene.take else None,
     }

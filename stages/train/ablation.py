@@ -29,6 +29,7 @@ PARTS: dict[str, str] = {
     "coarse": "small pictures first",
     "anchors": "free offsets of anchor poses",
     "base": "free attributes per texel",
+    "prior": "projection of poses unlike the training's",
 }
 
 
@@ -52,6 +53,8 @@ def ablated(config: TrainConfig) -> TrainConfig:
     model = config.model
     if "anchors" in config.without:
         model = replace(model, anchors=0)
+    if "prior" in config.without:
+        model = replace(model, pose_prior=0)
     if "base" in config.without:
         model = replace(model, base=False)
     return replace(config, model=model)

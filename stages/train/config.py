@@ -106,7 +106,7 @@ _ECONOMY = LossWeights(
     flow=10.0,
     covered_skin=0.02,
 )
-DRAFT = TrainConfig(perceptual_side=128, weights=_ECONOMY, model=ModelConfig(anchors=40))
+DRAFT = TrainConfig(perceptual_side=128, weights=_ECONOMY, model=ModelConfig(pose_prior=20, anchors=40))
 PRESETS: dict[str, TrainConfig] = {
     "tiny": replace(
         DRAFT,
@@ -114,7 +114,7 @@ PRESETS: dict[str, TrainConfig] = {
         views_per_step=2,
         image_scale=0.5,
         perceptual_side=64,
-        model=ModelConfig(width=0.0625, depth=2, style=16, factor=4, anchors=8),
+        model=ModelConfig(pose_prior=20, width=0.0625, depth=2, style=16, factor=4, anchors=8),
     ),
     "draft": DRAFT,
     "balanced": replace(
@@ -122,7 +122,7 @@ PRESETS: dict[str, TrainConfig] = {
         steps=8000,
         frame_step=2,
         perceptual_side=256,
-        model=ModelConfig(width=0.25, depth=5, style=64, factor=2, anchors=100),
+        model=ModelConfig(pose_prior=20, width=0.25, depth=5, style=64, factor=2, anchors=100),
     ),
     "paper": TrainConfig(
         steps=300_000,

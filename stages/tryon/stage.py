@@ -73,6 +73,7 @@ def run(
             "betas": [round(float(value), 6) for value in outfit.betas],
             "swapped_texels": {change.garment: change.count for change in outfit.swaps},
             "restored_texels": outfit.restoration.count if outfit.restoration else 0,
+            "projected_frames": outfit.projected_frames(poses, [frame.row for frame in frames]),
             **reel_summary.as_dict(),
         }
         shown = {"fps": poses.fps, "frames": [frame.row for frame in frames], "config": asdict(config)}

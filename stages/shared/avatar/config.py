@@ -23,6 +23,9 @@ class ModelConfig:
         anchors: poses whose offsets are learned freely and blended by likeness, for garments (the body
             follows its bones); 0 for none. At most the number of training frames. anchor_cell: texels per
             cell of their coarse maps.
+        pose_prior: directions of the PCA of positional maps on which poses unlike the training's are
+            projected for the networks (`stages/shared/avatar/pose_prior.py`); 0 for none. pose_sigma:
+            standard deviations that such a pose may depart along each.
         base: learn free attributes per texel beside the networks.
         color: "sigmoid" bounds colours to 0..1, "linear" leaves them unbounded (published).
         view_conditioning: colours see the cosine between normal and viewing direction (separate heads only).
@@ -40,6 +43,8 @@ class ModelConfig:
     normalise: bool = True
     anchors: int = 0
     anchor_cell: int = 4
+    pose_prior: int = 0
+    pose_sigma: float = 2.0
     base: bool = True
     color: str = "sigmoid"
     view_conditioning: bool = False
@@ -55,6 +60,7 @@ PAPER_MODEL = ModelConfig(
     factor=2,
     input_views="front",
     normalise=False,
+    pose_prior=20,
     base=False,
     color="linear",
     view_conditioning=True,

@@ -16,6 +16,7 @@ from torch import Tensor, nn
 from stages.shared.avatar.anchors import AnchorOffsets, sampled_maps
 from stages.shared.avatar.config import ModelConfig
 from stages.shared.avatar.maps import LayerMaps
+from stages.shared.avatar.pose_prior import PosePrior
 from stages.shared.avatar.positional import CosineMaps, PositionalMaps, network_grid
 from stages.shared.avatar.texel_attributes import TexelAttributes
 from stages.shared.nets.styleunet import StyleUNet, ViewNet
@@ -73,6 +74,10 @@ class LayerModel(TexelAttributes):
             self.register_buffer("mean_residual", maps.positions.new_zeros(len(maps), 14))
             self.register_buffer("fading", torch.zeros(1))
         self.cosines = CosineMaps(maps, grid) if config.view_conditioning else None
+        self.prior = None
+        if config.pose_prior > 0:
+            values = self.positional.channels * len(self.positional.used)
+            self.prior = PosePrior(config.pose_prior, values, config.pose_sigma)
 
     @classmethod
     def from_state(cls, config: dict[str, Any], maps: LayerMaps, tensors: dict[str, Tensor]) -> LayerModel:
@@ -108,10 +113,21 @@ class LayerModel(TexelAttributes):
         """Let poses unlike every anchor fade to the mean residual of training poses, each (55, 4, 4).
 
         What a network answers far from what it was trained with is a guess; the mean is a safer one. Call it
-        once, when training is over.
+        once, when training is over. From here on, poses outside the training's are projected on its prior.
         """
-        if self.anchors is None or not poses:
+        if not poses:
             return
+        if self.anchors is not None:
+            self._fit_fading(poses)
+        if self.prior is not None:
+            self.prior.fit(torch.stack([self._seen(self.positional(pose)) for pose in poses]))
+
+    @torch.no_grad()
+    def projected(self, local_transforms: Tensor) -> bool:
+        """Whether a pose (55, 4, 4) is outside the training's, so that the networks see its projection."""
+        return self.prior is not None and self.prior.outside(self._seen(self.positional(local_transforms)))
+
+    def _fit_fading(self, poses: list[Tensor]) -> None:
         self.fading.zero_()
         total = torch.zeros_like(self.mean_residual)
         for pose in poses:
@@ -125,7 +141,7 @@ class LayerModel(TexelAttributes):
         `local_transforms` (55, 4, 4): pose without shape and root. `cosines` (N,): normal · viewing direction
         of every texel, used only with view conditioning (without it the colour network sees no view feature).
         """
-        image = (self.positional(local_transforms) - self.input_mean) / self.input_scale
+        image = (self._input(local_transforms) - self.input_mean) / self.input_scale
         if self.model_config.heads == "joint":
             return self._with_anchors(self._sampled(self.networks[0](image)[0]), image, local_transforms)
         features = None
@@ -137,6 +153,18 @@ class LayerModel(TexelAttributes):
         other = self._sampled(self.networks[2](image)[0])
         joined = torch.cat((offset, other[:, 4:8], other[:, 0:1], other[:, 1:4], color), dim=1)
         return self._with_anchors(joined, image, local_transforms)
+
+    def _input(self, local_transforms: Tensor) -> Tensor:
+        """The positional map of a pose, or of the nearest one that the training would explain."""
+        image = self.positional(local_transforms)
+        if self.prior is None or not bool(self.prior.limit > 0):
+            return image
+        known = self.prior(self._seen(image)).view(*image.shape[:2], -1)
+        return image.flatten(start_dim=2).index_copy(2, self.positional.used, known).view_as(image)
+
+    def _seen(self, image: Tensor) -> Tensor:
+        """The values of an image (1, C, h, w) where there are texels, in a row."""
+        return image.flatten(start_dim=2)[:, :, self.positional.used].flatten()
 
     def _sampled(self, images: Tensor) -> Tensor:
         """Maps (2, C, h, w) of the window at every texel (N, C)."""

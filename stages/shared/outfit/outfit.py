@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +13,7 @@ from stages.shared.artifacts import Artifact
 from stages.shared.artifacts.bundle import Bundle
 from stages.shared.avatar.compose import Composite, compose, relabelled
 from stages.shared.avatar.deform import PosedGaussians, pose_layer
+from stages.shared.avatar.model import LayerModel
 from stages.shared.avatar.pose import frame_pose
 from stages.shared.body import BodyModel, Poses
 from stages.shared.capture.labels import LAYERS
@@ -73,6 +74,23 @@ class Outfit:
             if layer.name in pushes:
                 posed[layer.name] = pushes[layer.name].applied(posed[layer.name], posed["body"])
         return posed
+
+    @torch.no_grad()
+    def projected_frames(self, poses: Poses, rows: Iterable[int]) -> dict[str, int]:
+        """Rows of `poses` unlike the training's, counted by layer: there the networks see a projection."""
+        counts: dict[str, int] = {}
+        models = {layer.name: layer.model for layer in self.layers if isinstance(layer.model, LayerModel)}
+        models = {name: model for name, model in models.items() if model.prior is not None}
+        for row in rows if models else ():
+            pose = frame_pose(
+                self.body_model,
+                torch.from_numpy(poses.rotations[row]),
+                torch.from_numpy(poses.translation[row]),
+                torch.from_numpy(self.betas),
+            )
+            for name, model in models.items():
+                counts[name] = counts.get(name, 0) + model.projected(pose.local_transforms)
+        return counts
 
     def composite(self, poses: Poses, frame: int) -> Composite:
         """All Gaussians together, in the pose of a row of `poses`; layers are those the labels know."""

@@ -33,8 +33,8 @@ def subjects(incomplete: str) -> list[str]:
 
 def layers(ctx: Any, incomplete: str) -> list[str]:
     """Layers of the subject that was named, or all there can be."""
-    subject = ctx.params.get("subject") if ctx is not None else None
-    there = _layers_of(Path(str(subject))) if subject else []
+    named = [ctx.params.get("subject"), *ctx.args] if ctx is not None else []
+    there = next((_layers_of(Path(str(subject))) for subject in named if subject), [])
     return [name for name in there or LAYERS if name.startswith(incomplete)]
 
 

@@ -36,7 +36,12 @@ def shell(folder: Path, *words: str) -> list[str]:
     }
     program = "import sys; sys.argv = ['gw']; from gw_cli.app import app; app(prog_name='gw')"
     done = subprocess.run(
-        [sys.executable, "-c", program], cwd=folder, env=environment, capture_output=True, text=True, timeout=60
+        [sys.executable, "-c", program],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=60,
     )
     return done.stdout.split()
 
@@ -51,6 +56,7 @@ def test_presets_are_those_of_the_stages() -> None:
 def test_layers_of_a_subject(folder: Path) -> None:
     class Context:
         params = {"subject": folder / "anna"}  # noqa: RUF012
+        args: list[str] = []  # noqa: RUF012
 
     assert completion.layers(Context, "") == ["body", "lower"]
     assert completion.layers(None, "o") == ["outer"]

@@ -21,10 +21,11 @@ class Player:
     """Poses an outfit fast. What depends on the wearer's shape but not on the pose is computed once, here.
 
     Arguments:
-        outfit: what is worn.
+        outfit: what is worn. twin: another player of it, to share what was prepared; buffers are each
+            one's own, so that two threads can play two frames.
     """
 
-    def __init__(self, outfit: Outfit) -> None:
+    def __init__(self, outfit: Outfit, twin: Player | None = None) -> None:
         self.outfit = outfit
         # Push-out needs normals, restored skin other colours, baselines labels of their own: the plain way.
         special = outfit.pushes or outfit.restoration is not None
@@ -35,9 +36,14 @@ class Player:
             Replacement(swap.weights[:, 0].numpy(), swap.offsets.numpy(), swap.quaternions.numpy())
             for swap in outfit.swaps
         )
-        self._layers = [
-            PosedLayer(layer.model, betas, swaps if layer.name == "body" else ()) for layer in outfit.layers
-        ]
+        self._layers: list[PosedLayer] = (
+            twin._layers
+            if twin is not None
+            else [
+                PosedLayer(layer.model, betas, swaps if layer.name == "body" else ())
+                for layer in outfit.layers
+            ]
+        )
         counts = [len(layer.maps) for layer in outfit.layers]
         total, names = sum(counts), outfit.names
         means, opacities = np.zeros((total, 3), np.float32), np.zeros(total, np.float32)

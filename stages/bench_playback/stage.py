@@ -1,0 +1,129 @@
+"""How fast an outfit plays on this machine: from a row of the pose file to a finished picture in memory.
+
+Reads:
+    bundles `.gwg`, a pose file. Writes nothing; times are medians over frames, in milliseconds.
+
+Three ways are timed: the plain one (`Outfit.composite`, one frame after the other), the played one
+(`Player`), and frames side by side (`side_by_side`), whose rate is frames over wall time. The penetration
+pass is on; it is also left out, frame by frame in turn, and what it costs is the difference.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+import torch
+
+from stages.bench_playback.config import BenchPlaybackConfig
+from stages.shared.avatar.compose import Composite
+from stages.shared.body import Poses
+from stages.shared.capture import Camera
+from stages.shared.errors import UsageProblem
+from stages.shared.outfit.outfit import Outfit, outfit_of_bundles
+from stages.shared.outfit.penetration import TRYON_MARGINS
+from stages.shared.outfit.picture import Shot, take_picture
+from stages.shared.outfit.playback import side_by_side
+from stages.shared.outfit.player import Player
+from stages.shared.outfit.sources import read_bundles
+from stages.shared.outfit.viewpoints import viewpoint_cameras
+from stages.shared.poses.read import load_poses
+from stages.shared.report import SILENT, Report
+
+_WARM_FRAMES = 3  # compilation, first touch of memory
+
+
+@dataclass(frozen=True)
+class BenchPlaybackResult:
+    """Times, and what was played."""
+
+    summary: dict[str, Any]
+
+
+def run(
+    bundles: Sequence[Path],
+    poses_path: Path,
+    config: BenchPlaybackConfig = BenchPlaybackConfig(),
+    report: Report = SILENT,
+) -> BenchPlaybackResult:
+    """Play an outfit and time it.
+
+    Raises:
+        UsageProblem: no frames, or what cannot be worn together. MissingInput, BadData: files.
+    """
+    if config.frames < 1 or config.size < 16:
+        raise UsageProblem("There is nothing to play.", "options --frames and --size", "Ask for more.")
+    outfit = outfit_of_bundles(read_bundles(bundles))
+    poses = load_poses(poses_path, outfit.body_model)
+    rows = [int(row) for row in np.linspace(0, len(poses) - 1, config.frames)]
+    cameras = viewpoint_cameras(
+        config.camera, outfit.body_model, poses[rows], outfit.betas, (config.size, config.size)
+    )
+    frames = list(zip(rows, cameras, strict=True))
+    report.step(f"playing {' < '.join(outfit.names)}, {outfit.gaussians} Gaussians")
+    split = _split(outfit, poses, frames)
+    plain = _plain(outfit, poses, frames[: config.plain_frames])
+    rate, threads = _rate(outfit, poses, frames, config.threads or torch.get_num_threads())
+    one = split["pose"] + split["picture"]
+    summary = {
+        "layers": list(outfit.names),
+        "decoders": {layer.name: layer.model.model_config.decoder for layer in outfit.layers},
+        "gaussians": outfit.gaussians,
+        "size": config.size,
+        "frames": len(frames),
+        "threads": threads,
+        "frames_per_second": round(rate, 2),
+        "one_after_the_other_frames_per_second": round(1000 / one, 2),
+        "plain_frames_per_second": round(1000 / plain, 2) if plain else None,
+        "milliseconds": {name: round(value, 2) for name, value in split.items()},
+        "penetration_share": round(max(0.0, split["picture"] - split["picture_without_pass"]) / one, 3),
+    }
+    return BenchPlaybackResult(summary)
+
+
+def _split(outfit: Outfit, poses: Poses, frames: list[tuple[int, Camera]]) -> dict[str, float]:
+    """Median milliseconds of posing and of the picture, with and without the penetration pass."""
+    player = Player(outfit)
+    times: dict[str, list[float]] = {"pose": [], "picture": [], "picture_without_pass": []}
+    for index, (row, camera) in enumerate([*frames[:1] * _WARM_FRAMES, *frames]):
+        composite, posing = _timed(player.composite, poses, row)
+        _, repaired = _timed(take_picture, composite, camera, TRYON_MARGINS)
+        _, without = _timed(take_picture, composite, camera)
+        if index >= _WARM_FRAMES:
+            for name, value in zip(times, (posing, repaired, without), strict=True):
+                times[name].append(value)
+    return {name: median(values) for name, values in times.items()}
+
+
+def _plain(outfit: Outfit, poses: Poses, frames: list[tuple[int, Camera]]) -> float | None:
+    """Median milliseconds of a frame without anything that was done for speed; None without frames."""
+
+    def frame(row: int, camera: Camera) -> Shot:
+        return take_picture(outfit.composite(poses, row), camera, TRYON_MARGINS)
+
+    times = [_timed(frame, row, camera)[1] for row, camera in frames]
+    return median(times) if times else None
+
+
+def _rate(outfit: Outfit, poses: Poses, frames: list[tuple[int, Camera]], threads: int) -> tuple[float, int]:
+    """Frames per second side by side, over the whole wall time after the first frames."""
+
+    def work(player: Player, frame: tuple[int, Camera]) -> Composite | Shot:
+        return take_picture(player.composite(poses, frame[0]), frame[1], TRYON_MARGINS)
+
+    started, ahead = 0.0, 2 * threads  # frames in flight when the clock starts
+    for index, _ in enumerate(side_by_side(outfit, frames[:1] * ahead + frames, work, threads)):
+        if index == ahead - 1:
+            started = time.perf_counter()
+    return len(frames) / (time.perf_counter() - started), threads
+
+
+def _timed(call: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:
+    started = time.perf_counter()
+    result = call(*arguments)
+    return result, 1000 * (time.perf_counter() - started)

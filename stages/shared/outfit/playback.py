@@ -1,0 +1,68 @@
+"""Whole frames side by side: one core, one frame.
+
+A frame has parts that no second thread helps (contours, Python between the kernels), so on a few cores two
+frames at a time are faster than one frame by two threads. Results come in order, with a bounded look-ahead.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import TypeVar
+
+import torch
+
+from stages.shared.outfit.outfit import Outfit
+from stages.shared.outfit.player import Player
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+def side_by_side(
+    outfit: Outfit,
+    items: Sequence[Item],
+    work: Callable[[Player, Item], Result],
+    threads: int | None = None,
+) -> Iterator[Result]:
+    """`work(player, item)` of every item, in order; each thread has a player, and its kernels one thread.
+
+    Arguments:
+        threads: frames at a time; None for as many as torch would use threads.
+    """
+    count = min(threads or torch.get_num_threads(), max(len(items), 1))
+    if count <= 1:
+        player = Player(outfit)
+        yield from (work(player, item) for item in items)
+        return
+    first = Player(outfit)
+    spare = [first, *(Player(outfit, twin=first) for _ in range(count - 1))]
+    own = threading.local()
+
+    def task(item: Item) -> Result:
+        if not hasattr(own, "player"):
+            own.player = spare.pop()
+            torch.set_num_threads(1)
+        return work(own.player, item)
+
+    with _threads_restored(), ThreadPoolExecutor(count, thread_name_prefix="gw-frame") as pool:
+        waiting: deque[Future[Result]] = deque()
+        for item in items:
+            waiting.append(pool.submit(task, item))
+            if len(waiting) > count:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
+
+
+@contextmanager
+def _threads_restored() -> Iterator[None]:
+    """`torch.set_num_threads` in a thread also sets what threads begun later start with: put that back."""
+    threads = torch.get_num_threads()
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)

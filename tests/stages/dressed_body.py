@@ -63,8 +63,13 @@ def body_labels() -> np.ndarray:
     return labels
 
 
-def write_capture(folder: Path, subject: Dressed, cameras: int = 6, size: int = 200) -> Path:
-    """A native capture of that one frame (and the same pose again as frame 1), with its scan."""
+def write_capture(
+    folder: Path, subject: Dressed, cameras: int = 6, size: int = 200, test: bool = False
+) -> Path:
+    """A native capture of that one frame (and the same pose again as frame 1), with its scan.
+
+    With `test`, there is a test take too, which shows the same frame once more.
+    """
     ring = [_camera(index, cameras, size, subject.mesh.vertices.mean(axis=0)) for index in range(cameras)]
     scene, mesh = RayScene(subject.mesh.vertices, subject.mesh.faces), subject.mesh
     assert mesh.colors is not None and mesh.labels is not None
@@ -72,13 +77,16 @@ def write_capture(folder: Path, subject: Dressed, cameras: int = 6, size: int = 
         writer.body_model(save(embedded_body().to_arrays()), ".safetensors")
         take = writer.take("walk", "train", subject.poses[[0, 0]])
         take.scan(encode_ply(mesh))
+        shown = [(take, 0), (take, 1)]
+        if test:
+            shown.append((writer.take("again", "test", subject.poses[[0]]), 0))
         for camera in ring:
             hits = scene.render(camera)
             image = np.rint(hits.interpolate(mesh.faces, mesh.colors)).astype(np.uint8)
             labels = hits.largest_corner(mesh.faces, mesh.labels, 255)
             mask = np.where(hits.hit, 255, 0).astype(np.uint8)
-            for frame in (0, 1):
-                take.view(camera.name, frame, image, mask, labels, jpeg=False)
+            for part, frame in shown:
+                part.view(camera.name, frame, image, mask, labels, jpeg=False)
     return folder
 
 

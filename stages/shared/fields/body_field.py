@@ -19,6 +19,7 @@ from stages.shared.fields.voxel_field import VoxelField, node_positions
 
 _HAND_JOINTS = range(25, 55)
 _EYE_JOINTS = (23, 24)
+_PELVIS, _LEFT_LEG, _RIGHT_LEG = 0, [1, 4, 7, 10], [2, 5, 8, 11]
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,8 @@ class FieldConfig:
         reach_at_skin: smoothing length of "wide" on and under the skin.
         reach_per_distance: growth of that length per metre beyond `skin_distance`.
         skin_distance: up to this far from the skin only `reach_at_skin` smooths: tight cloth follows it.
+        hang: of what belongs to both legs alike, the share that "wide" gives to the pelvis: cloth between
+            the legs hangs from the waist, and its threads stretch less when the legs part.
         hand_reach: points nearer to a hand take its vertices' weights: fingers are thinner than voxels.
         eye_reach: the same for the eyeballs, which nothing but themselves should follow.
     """
@@ -49,6 +52,7 @@ class FieldConfig:
     reach_at_skin: float = 0.01
     reach_per_distance: float = 10.0
     skin_distance: float = 0.015
+    hang: float = 0.15
     hand_reach: float = 0.03
     eye_reach: float = 0.004
 
@@ -193,8 +197,25 @@ def _spread(
         outside = np.einsum("nk,nk->n", nodes - vertices[nearest], normals[nearest]) > 0
         beyond = np.where(outside, np.maximum(distance - config.skin_distance, 0.0), 0.0)
         reach = config.reach_at_skin + config.reach_per_distance * beyond
-        return spread_wide(start, reach, band, pitch)
+        return hang_between_legs(spread_wide(start, reach, band, pitch), config.hang)
     return start
+
+
+def hang_between_legs(values: np.ndarray, share: float) -> np.ndarray:
+    """Values (M, C) in which weights of points between the legs are partly the pelvis's.
+
+    A point with weight a on the left and b on the right leg gives up `share` · 4ab/(a + b) of it: nothing on
+    a leg, most halfway. Channels after the first J joints are left alone; sums are kept.
+    """
+    if values.shape[1] <= _RIGHT_LEG[-1]:
+        return values
+    values = values.copy()
+    left, right = values[:, _LEFT_LEG].sum(axis=1), values[:, _RIGHT_LEG].sum(axis=1)
+    both = np.maximum(left + right, 1e-9)
+    given = share * 4.0 * left * right / both
+    values[:, _LEFT_LEG + _RIGHT_LEG] *= (1.0 - given)[:, None]
+    values[:, _PELVIS] += given * (left + right)
+    return values
 
 
 def _average_in_band(values: np.ndarray, band: np.ndarray, iterations: int) -> np.ndarray:

@@ -1,0 +1,49 @@
+"""`gw bench templates`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gw_cli.console import Console, command
+from gw_cli.options import Json, Preset
+
+
+def register(bench: typer.Typer) -> None:
+    @bench.command("templates")
+    @command
+    def templates(
+        capture: Annotated[Path, typer.Argument(metavar="CAPTURE", help="Folder of a capture.")],
+        output: Annotated[
+            Path, typer.Option("-o", "--output", help="Folder for the workspace, the rows and the table.")
+        ] = Path("bench_templates"),
+        fit: Annotated[
+            bool, typer.Option(help="Also fit the body to the first scan without its parameters.")
+        ] = True,
+        camera_step: Annotated[int, typer.Option(min=1, help="Every so many-th camera of test takes.")] = 1,
+        frame_step: Annotated[int, typer.Option(min=1, help="Every so many-th filmed test frame.")] = 1,
+        preset: Preset = "draft",
+        as_json: Json = False,
+    ) -> None:
+        """Measure a capture's template against the truth that the capture carries.
+
+        Runs register-template, canonicalize, segment-layers and bake-maps, and compares: the body fit
+        without given parameters, posing and shaping back, vertex labels with the scan's, what the maps miss,
+        silhouettes and stretch of the layers moved by bones alone in the test takes, time and memory. Rows
+        that the capture has no truth for say why.
+        """
+        from stages.bench_templates import stage
+        from stages.bench_templates.config import BenchTemplatesConfig
+
+        console = Console(as_json)
+        config = BenchTemplatesConfig(preset, fit, camera_step, frame_step)
+        result = stage.run(capture, output, config, console)
+        if as_json:
+            console.result({"path": result.path, **result.summary})
+            return
+        console.say((result.path / "table.md").read_text())
+        console.result(
+            {"path": result.path, "met": result.summary["met"], "missed": result.summary["missed"]}
+        )

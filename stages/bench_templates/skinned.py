@@ -1,0 +1,106 @@
+"""The template's layers moved by their bones alone, against what was filmed in the test takes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from stages.shared.artifacts import Artifact
+from stages.shared.body.canonical import posed_from_canonical
+from stages.shared.body.kinematics import skin
+from stages.shared.body.model import BodyModel
+from stages.shared.body.poses import Poses
+from stages.shared.capture import Take
+from stages.shared.meshes.raycast import RayScene
+from stages.shared.metrics.silhouette import iou
+
+_SHORTEST = 1e-4  # metres; edges shorter than this say nothing about stretch
+
+
+@dataclass(frozen=True)
+class SkinnedLayer:
+    """A layer mesh that can be posed.
+
+    Attributes:
+        vertices: (V, 3) float64 m canonical, zero shape. faces: (F, 3). weights: (V, 55).
+        directions: (V, 10, 3) m per unit of shape. edges: (E, 2) of its own surface (not tucked under).
+        lengths: (E,) m at the template's frame.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    weights: np.ndarray
+    directions: np.ndarray
+    edges: np.ndarray
+    lengths: np.ndarray
+
+    @classmethod
+    def load(cls, segmented: Artifact, name: str) -> SkinnedLayer:
+        """From a segment-layers artifact."""
+        mesh = segmented.arrays(name)
+        faces, world = mesh["faces"], mesh["world_vertices"].astype(np.float64)
+        own = faces[(mesh["ring"][faces] == 0).all(axis=1)]
+        sides = np.concatenate([own[:, [0, 1]], own[:, [1, 2]], own[:, [2, 0]]])
+        edges = np.unique(np.sort(sides, axis=1), axis=0)
+        lengths = np.linalg.norm(world[edges[:, 0]] - world[edges[:, 1]], axis=1)
+        kept = lengths > _SHORTEST
+        arrays = (mesh[part].astype(np.float64) for part in ("vertices", "skin_weights", "shape_directions"))
+        vertices, weights, directions = arrays
+        return cls(vertices, faces, weights, directions, edges[kept], lengths[kept])
+
+    def posed(self, body: BodyModel, poses: Poses, frame: int) -> np.ndarray:
+        """(V, 3) m, world, in the pose of a row of `poses`."""
+        betas = torch.as_tensor(poses.betas, dtype=torch.float64)
+        rotations = torch.as_tensor(poses.rotations[frame], dtype=torch.float64)
+        translation = torch.as_tensor(poses.translation[frame], dtype=torch.float64)
+        shaped = self.vertices + np.einsum("vbk,b->vk", self.directions, betas.numpy())
+        transforms = posed_from_canonical(body, rotations, translation, betas)
+        return skin(torch.from_numpy(shaped), torch.from_numpy(self.weights), transforms).numpy()
+
+    def stretch(self, posed: np.ndarray) -> float:
+        """Largest growth of an edge against the template's frame, for posed vertices (V, 3)."""
+        if not len(self.edges):
+            return 1.0
+        lengths = np.linalg.norm(posed[self.edges[:, 0]] - posed[self.edges[:, 1]], axis=1)
+        return float((lengths / self.lengths).max())
+
+
+def largest_stretches(layers: dict[str, SkinnedLayer], body: BodyModel, take: Take) -> dict[str, float]:
+    """Largest growth of an edge of each layer over all poses of a take."""
+    return {
+        name: max(
+            layer.stretch(layer.posed(body, take.poses, frame)) for frame in range(len(take.poses.rotations))
+        )
+        for name, layer in layers.items()
+    }
+
+
+def filmed_frames(take: Take) -> list[int]:
+    """Rows of the take's poses that its first training camera filmed."""
+    first = take.training_cameras[0]
+    return [frame for frame in range(len(take.poses.rotations)) if take.has_image(first, frame)]
+
+
+def outline_agreement(
+    layers: dict[str, SkinnedLayer], body: BodyModel, take: Take, frames: list[int], cameras: list[str]
+) -> dict[int, float]:
+    """Mean silhouette IoU of each frame: all layers rendered as meshes against mask > 127."""
+    found = {}
+    starts = np.cumsum([0, *(len(layer.vertices) for layer in layers.values())])
+    faces = np.concatenate(
+        [layer.faces + start for layer, start in zip(layers.values(), starts[:-1], strict=True)]
+    )
+    for frame in frames:
+        posed = np.concatenate([layer.posed(body, take.poses, frame) for layer in layers.values()])
+        scene = RayScene(posed, faces)
+        scores = []
+        for camera in cameras:
+            if take.has_image(camera, frame):
+                shown = scene.render(take.camera(camera)).hit
+                scores.append(iou(shown, take.mask(camera, frame) > 127))
+        known = [score for score in scores if score is not None]
+        if known:
+            found[frame] = float(np.mean(known))
+    return found

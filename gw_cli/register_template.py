@@ -34,6 +34,13 @@ def register(app: typer.Typer) -> None:
             typer.Option(help="Body model of the poses (.npz); default: the capture's."),
         ] = None,
         params: Annotated[Path | None, typer.Option(help="Body fit of a mesh (smpl_params.npz).")] = None,
+        fit: Annotated[
+            bool,
+            typer.Option("--fit", help="Find the poses from masks (and the scan); no parameters needed."),
+        ] = False,
+        refine: Annotated[
+            bool, typer.Option("--refine", help="Improve the capture's poses by masks (and the scan).")
+        ] = False,
         capture_format: Annotated[str | None, typer.Option("--format", help="Layout of the capture.")] = None,
         preset: Preset = "draft",
         force: Force = False,
@@ -47,9 +54,17 @@ def register(app: typer.Typer) -> None:
         """
         from stages.register_template import stage
         from stages.register_template.config import PRESETS
+        from stages.shared.errors import UsageProblem
 
         console = Console(as_json)
-        config = replace(preset_config(PRESETS, preset), template=template, frame=frame, take=take)
+        if fit and refine:
+            raise UsageProblem(
+                "Poses are either found or improved.", "--fit --refine", "Give one of the two."
+            )
+        poses = "fit" if fit else "refine" if refine else "given"
+        config = replace(
+            preset_config(PRESETS, preset), template=template, frame=frame, take=take, poses=poses
+        )
         if dry_run:
             console.plan(stage.plan(given, subject, config, body_model, params, capture_format))
             return

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 TEMPLATES = ("auto", "scan", "hull", "body")
+POSES = ("given", "fit", "refine")
 
 
 @dataclass(frozen=True)
@@ -22,7 +23,9 @@ class RegisterTemplateConfig:
         smoothing_steps: rounds of smoothing of a hull that shrink nothing.
         edge_m: length of the edges of a hull after remeshing, metres.
         most_faces: scans with more faces are simplified.
-        fit_steps: optimisation steps of each level when the body is fitted to a mesh.
+        fit_steps: 120 gives every level of a fit all of its steps, less a share of them.
+        poses: "given" (the capture's own, checked), "fit" (found from masks and scan), "refine" (the
+            capture's own as the start).
     """
 
     template: str = "auto"
@@ -35,6 +38,7 @@ class RegisterTemplateConfig:
     edge_m: float = 0.010
     most_faces: int = 200_000
     fit_steps: int = 120
+    poses: str = "given"
 
 
 PRESETS: dict[str, RegisterTemplateConfig] = {

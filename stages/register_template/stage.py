@@ -10,7 +10,8 @@ Writes (artifact register-template):
     body.safetensors       the body model that the poses are for (`BodyModel.to_arrays`)
     overlay.png            the body's outline over the images, or the mesh beside the fitted body
     preview.png            the template from front and back
-    report.json            alignment per camera, what was tried, how the template was made
+    report.json            alignment per camera, what was tried, how the template was made, distances
+    poses/<take>.npz       poses of every take, when they were fitted or refined
 and a copy of smpl_params.npz at SUBJECT/smpl_params.npz.
 """
 
@@ -23,15 +24,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.pipeline import REGISTER_TEMPLATE
-from stages.register_template.config import TEMPLATES, RegisterTemplateConfig
+from stages.register_template.config import POSES, TEMPLATES, RegisterTemplateConfig
+from stages.register_template.from_capture import register_capture
+from stages.register_template.lone_mesh import register_mesh
 from stages.register_template.sources import (
     Registered,
     Source,
     body_of,
     capture_source,
     mesh_source,
-    register_capture,
-    register_mesh,
 )
 from stages.shared.artifacts import Workspace
 from stages.shared.artifacts.build import Build
@@ -42,6 +43,7 @@ from stages.shared.meshes.picture import two_sided_picture
 from stages.shared.plan import Plan
 from stages.shared.report import SILENT, Report
 
+FITTED = "poses"
 _ABOUT = {
     "vertices": "m world (V,3)",
     "faces": "vertex numbers (F,3)",
@@ -88,7 +90,8 @@ def run(
             _write(build, source, made)
         found = build.artifact
     if source.capture:
-        remember_capture(workspace, source.capture, str(found.json("report")["convention"]))
+        fitted = found.path / FITTED if found.summary.get("fitted_takes") else None
+        remember_capture(workspace, source.capture, str(found.json("report")["convention"]), fitted)
     workspace.publish(found, "smpl_params.npz", "smpl_params.npz")
     return StageResult(found, found.summary)
 
@@ -110,7 +113,7 @@ def plan(
         outputs=[str(subject / REGISTER_TEMPLATE.name), str(subject / "smpl_params.npz")],
         config=asdict(config)
         | {"template": source.template, "frame": source.frame, "body": source.body.source},
-        seconds=8.0 + (6e-6 * nodes if hull else 0) + (0.9 * config.fit_steps if source.fits_body else 0),
+        seconds=8.0 + (6e-6 * nodes if hull else 0) + _seconds_of_fit(source, config),
         memory_bytes=700_000_000 + (int(120 * nodes) if hull else 0),
         disk_bytes=20_000_000,
     )
@@ -130,6 +133,10 @@ def _source(
             "option --template",
             "Choose one of: " + ", ".join(TEMPLATES) + ".",
         )
+    if config.poses not in POSES:
+        raise UsageProblem(
+            f"Poses cannot be {config.poses!r}.", "option poses", "Choose one of: " + ", ".join(POSES) + "."
+        )
     given = Path(given)
     if given.is_dir():
         if params is not None:
@@ -146,6 +153,15 @@ def _source(
     )
 
 
+def _seconds_of_fit(source: Source, config: RegisterTemplateConfig) -> float:
+    """Rough time of a fit: its first frame, and following the body through the others."""
+    if not source.fits_body:
+        return 0.0
+    frames = 0 if source.capture is None else sum(len(take.frames) for take in source.capture.takes)
+    cameras = 0 if source.take is None else len(source.take.training_cameras)
+    return 0.2 * config.fit_steps + 0.12 * frames * cameras
+
+
 def _write(build: Build, source: Source, made: Registered) -> None:
     template = made.template
     arrays: dict[str, NDArray[np.generic]] = {"vertices": template.vertices, "faces": template.faces}
@@ -159,6 +175,8 @@ def _write(build: Build, source: Source, made: Registered) -> None:
     build.write_picture("overlay.png", made.overlay)
     build.write_picture("preview.png", two_sided_picture(template.vertices, template.faces, template.colors))
     build.write_json("report.json", made.report)
+    for name, poses in made.fitted.items():
+        build.write_bytes(f"{FITTED}/{name}.npz", poses.to_npz_bytes())
     build.summary(
         frame=made.frame,
         take=made.take,
@@ -167,5 +185,6 @@ def _write(build: Build, source: Source, made: Registered) -> None:
         vertices=len(template.vertices),
         faces=len(template.faces),
         frames=len(made.poses),
+        fitted_takes=sorted(made.fitted),
         **made.numbers,
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,19 +10,22 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from stages.register_template.config import RegisterTemplateConfig
+from stages.register_template.fitting.starts import UP_AXES
 from stages.register_template.hull import carve, largest_part, smooth
+from stages.register_template.scan_cleaning import clean_scan
 from stages.shared.body import BodyModel
 from stages.shared.capture import Take
 from stages.shared.capture.projection import project_colors
 from stages.shared.errors import BadData
 from stages.shared.meshes.mesh import Mesh
 from stages.shared.meshes.raycast import RayScene
-from stages.shared.meshes.remesh import remesh, simplify
+from stages.shared.meshes.remesh import remesh
 from stages.shared.meshes.topology import vertex_normals
 from stages.shared.report import Report
 
 # A template farther than this from the body (median of its vertices) is of another frame, place or unit.
 MEDIAN_BAR_M = 0.15
+_COMPARED = 3000  # vertices that are looked at to find the up axis
 
 
 def make_surface(
@@ -50,9 +54,10 @@ def make_surface(
         report.step("reading the scan")
         scan = take.read_scan()
         assert scan is not None
-        mesh, way = simplify(scan, config.most_faces)
+        cleaned = clean_scan(scan, config.most_faces, str(take.scan), report)
+        mesh, up = turned_upright(cleaned.mesh, posed, report)
         _check_scan(mesh, posed, take)
-        return mesh, {"made": "scan", "simplified": way}
+        return mesh, {"made": "scan", "up": up, **cleaned.told}
     else:
         report.step("carving the hull of the masks")
         carved = carve(take, frame, posed, config.hull_pitch_m, config.hull_reach_m, report)
@@ -85,11 +90,31 @@ def _check_scan(mesh: Mesh, posed: NDArray[np.float64], take: Take) -> None:
         )
 
 
+def turned_upright(mesh: Mesh, posed: NDArray[np.float64], report: Report) -> tuple[Mesh, str]:
+    """The mesh turned so that its up axis is the body's, and which axis was up.
+
+    A scan in another convention than its poses lies far from the body, and near to it once turned about the
+    world's origin. A mesh that no turn brings nearer is left alone.
+    """
+    tree = cKDTree(posed)
+    some = mesh.vertices[:: max(1, len(mesh.vertices) // _COMPARED)]
+    away = {up: float(np.median(tree.query(some @ turn.T)[0])) for up, turn in UP_AXES.items()}
+    up = min(away, key=lambda name: away[name])
+    if up == "+y" or away["+y"] <= MEDIAN_BAR_M or away[up] > MEDIAN_BAR_M:
+        return mesh, "+y"
+    report.warn(f"{up} is up in the scan, and +y in the poses; the scan is turned")
+    return replace(mesh, vertices=(mesh.vertices @ UP_AXES[up].T).astype(np.float32)), up
+
+
 def distances(template: Mesh, posed: NDArray[np.float64], body: BodyModel) -> dict[str, Any]:
-    """Median distance between template and body, both ways, metres."""
-    to_body = RayScene(posed, body.faces).distance(template.vertices)
-    to_template = RayScene(template.vertices, template.faces).distance(posed)
-    return {
-        "template_to_body_m": float(np.median(to_body)),
-        "body_to_template_m": float(np.median(to_template)),
+    """Distances between template and body, both ways, metres: median, mean and 95th percentile."""
+    ways = {
+        "template_to_body": RayScene(posed, body.faces).distance(template.vertices),
+        "body_to_template": RayScene(template.vertices, template.faces).distance(posed),
     }
+    numbers: dict[str, Any] = {}
+    for name, values in ways.items():
+        numbers[f"{name}_m"] = float(np.median(values))
+        numbers[f"{name}_mean_m"] = float(values.mean())
+        numbers[f"{name}_p95_m"] = float(np.percentile(values, 95))
+    return numbers

@@ -75,13 +75,8 @@ def _read_sequence(folder: Path, place: int, count: int, body: BodyModel | None)
     fps = scene.get("fps")
     if fps is not None and (not isinstance(fps, int | float) or not 0 < fps < 1e5):
         raise BadData("fps is not a positive number.", str(scene_path), "Write the frame rate as a number.")
-    pose_path = next(
-        (path for path in (folder / "smpl_params.npz", sequence / "smpl_params.npz") if path.is_file()), None
-    )
-    if pose_path is None:
-        raise MissingInput(
-            "The sequence has no body poses.", str(folder / "smpl_params.npz"), "Put the SMPL-X fit there."
-        )
+    pose_paths = (folder / "smpl_params.npz", sequence / "smpl_params.npz")
+    pose_path = next((path for path in pose_paths if path.is_file()), pose_paths[0])
     scan, scan_frame = _scan(sequence)
     return make_take(
         name=sequence.name,

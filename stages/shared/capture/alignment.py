@@ -117,6 +117,21 @@ def overlay_picture(
     return contact_sheet(tiles)
 
 
+def silhouette_ious(
+    take: Take, frame: int, vertices: NDArray[np.floating], faces: NDArray[np.integer]
+) -> dict[str, float]:
+    """Camera to intersection over union of a surface's silhouette and the mask; training views."""
+    scene = RayScene(vertices, faces)
+    found = {}
+    for name in take.training_cameras:
+        if take.has_image(name, frame):
+            mask = _small_mask(take, name, frame)
+            camera = take.camera(name)
+            hit = scene.render(camera.scaled(min(1.0, _LONG_SIDE / max(camera.width, camera.height)))).hit
+            found[name] = float((hit & mask).sum() / max(int((hit | mask).sum()), 1))
+    return found
+
+
 def contact_sheet(tiles: list[NDArray[np.uint8]], columns: int = 4) -> NDArray[np.uint8]:
     """Pictures of one size in rows of `columns`, black where there are too few."""
     columns = min(columns, len(tiles))

@@ -21,7 +21,7 @@ from stages.shared.capture.camera import Camera, checked_camera
 from stages.shared.capture.gather import make_take, numbered_files, read_missing_list, read_poses, view_files
 from stages.shared.capture.json_file import read_json_object
 from stages.shared.capture.take import Capture
-from stages.shared.errors import BadData, MissingInput
+from stages.shared.errors import BadData
 
 USUAL_FPS: Final = 30.0
 _PICTURE: Final = re.compile(r"(\d+)\.(?:jpg|jpeg|png)")
@@ -58,8 +58,6 @@ class Layout:
             for name in cameras
         }
         pose_path = root / "smpl_params.npz"
-        if not pose_path.is_file():
-            raise MissingInput("The capture has no body poses.", str(pose_path), "Put the SMPL-X fit there.")
         poses = read_poses(pose_path, body, None, USUAL_FPS)
         scan = root / "scan.ply" if (root / "scan.ply").is_file() else None
         first = min((frame for seen in views.values() for frame in seen), default=0)

@@ -117,16 +117,13 @@ def read_scan(path: Path) -> Mesh:
 
 def _read_take(folder: Path, split: Split, pickles: PickleReader, body: BodyModel | None) -> Take:
     fits = numbered_files(folder / "SMPLX", re.compile(r"mesh-f(\d+)_smplx\.pkl"))
-    if not fits:
-        raise MissingInput(
-            "The take has no body poses.", f"{folder}/SMPLX", "Copy the SMPLX folder of the take."
-        )
-    order = sorted(fits)
+    order = sorted(fits) or _frames_with_images(folder)
     row = {number: place for place, number in enumerate(order)}
     notes: list[str] = []
-    poses = _poses(
-        [_dictionary(pickles.read(fits[n]), fits[n]) for n in order], folder / "SMPLX", body, notes
-    )
+    poses: Poses | float = FPS
+    if fits:
+        given = [_dictionary(pickles.read(fits[number]), fits[number]) for number in order]
+        poses = _poses(given, folder / "SMPLX", body, notes)
     camera_path = folder / "Capture" / "cameras.pkl"
     calibration = _dictionary(pickles.read(camera_path), camera_path)
     cameras, views = {}, {}
@@ -155,12 +152,21 @@ def _read_take(folder: Path, split: Split, pickles: PickleReader, body: BodyMode
         poses=poses,
         folder=folder,
         calibration_files=[camera_path],
-        pose_files=[fits[number] for number in order],
+        pose_files=list(fits.values()),
         scan=meshes[scanned[0]] if scanned else None,
         scan_frame=row[scanned[0]] if scanned else None,
         frame_names={place: f"{number:05d}" for number, place in row.items()},
         notes=notes,
     )
+
+
+def _frames_with_images(folder: Path) -> list[int]:
+    """Frame numbers of a take without fits."""
+    pattern = re.compile(r"capture-f(\d+)\.png")
+    found: set[int] = set()
+    for images in sorted((folder / "Capture").glob("*/images")):
+        found |= set(numbered_files(images, pattern))
+    return sorted(found)
 
 
 def _camera(name: str, entry: Any, image: Path, path: Path) -> Camera:

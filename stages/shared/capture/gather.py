@@ -7,9 +7,12 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from stages.shared.body.model import BodyModel
 from stages.shared.body.npz import NumericNpz
-from stages.shared.body.poses import Poses, read_smpl_params
+from stages.shared.body.poses import MAX_FRAMES, Poses, read_smpl_params
+from stages.shared.body.skeleton import EXPRESSION_COUNT, JOINT_COUNT, SHAPE_COUNT
 from stages.shared.capture.camera import Camera
 from stages.shared.capture.take import Split, Take, ViewFiles
 from stages.shared.errors import BadData, MissingInput
@@ -64,14 +67,16 @@ def read_missing_list(folder: Path) -> set[Path]:
     return {folder / line.strip() for line in text.splitlines() if line.strip() and not line.startswith("#")}
 
 
-def read_poses(path: Path, body: BodyModel | None, fps: float | None, usual_fps: float) -> Poses:
-    """Poses of a `smpl_params.npz`, row = frame number.
+def read_poses(path: Path, body: BodyModel | None, fps: float | None, usual_fps: float) -> Poses | float:
+    """Poses of a `smpl_params.npz`, row = frame number; only the frame rate when there is no such file.
 
     The frame rate is `fps` when the capture states one, else what the file says, else `usual_fps`.
 
     Raises:
-        MissingInput, BadData: as `read_smpl_params`.
+        BadData: as `read_smpl_params`.
     """
+    if not path.is_file():
+        return float(usual_fps if fps is None else fps)
     with NumericNpz(path, "a pose file") as file:
         poses = read_smpl_params(file, body)
         stated = "fps" in file
@@ -87,7 +92,7 @@ def make_take(
     training: Iterable[str],
     heldout: Iterable[str],
     views: Mapping[str, Mapping[int, ViewFiles]],
-    poses: Poses,
+    poses: Poses | float,
     folder: Path,
     calibration_files: Iterable[Path],
     pose_files: Iterable[Path],
@@ -97,6 +102,9 @@ def make_take(
     notes: Iterable[str] = (),
 ) -> Take:
     """A take whose frames are those that every training camera saw, with mask, and that have a pose.
+
+    Arguments:
+        poses: row = frame number; a frame rate alone when the capture brings no poses.
 
     Raises:
         MissingInput: a training camera without a single view; no frame left.
@@ -115,6 +123,9 @@ def make_take(
         )
     somewhere = set().union(*(views[camera] for camera in training))
     everywhere = set.intersection(*(set(views[camera]) for camera in training))
+    posed = isinstance(poses, Poses)
+    if not isinstance(poses, Poses):
+        poses, pose_files = rest_poses(1 + max(somewhere), poses), ()
     frames = sorted(frame for frame in everywhere if frame < len(poses))
     remarks = list(notes)
     partly, poseless = len(somewhere - everywhere), len(everywhere) - len(frames)
@@ -149,4 +160,18 @@ def make_take(
         scan_frame=scan_frame,
         frame_names=dict(frame_names or {}),
         notes=tuple(remarks),
+        posed=posed,
+    )
+
+
+def rest_poses(frames: int, fps: float) -> Poses:
+    """As many rest poses: what stands in a take that has none yet."""
+    if frames > MAX_FRAMES:
+        raise BadData(f"Frame numbers go up to {frames}.", "the take's images", "Number the frames from 0.")
+    return Poses(
+        np.zeros((frames, JOINT_COUNT, 3), np.float32),
+        np.zeros((frames, 3), np.float32),
+        np.zeros(SHAPE_COUNT, np.float32),
+        np.zeros((frames, EXPRESSION_COUNT), np.float32),
+        fps,
     )

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 from stages.shared.body.load import load_body
 from stages.shared.body.model import BodyModel
+from stages.shared.body.poses import Poses
 from stages.shared.capture.actorshq import open_actorshq, sequence_folders
 from stages.shared.capture.animatable_gaussians import AVATARREX, THUMAN4
 from stages.shared.capture.four_d_dress import open_4d_dress, take_folders
@@ -29,7 +31,13 @@ FORMATS: Final = tuple(_LAYOUTS)
 BODY_MODEL_FILES: Final = ("body_model.npz", "body_model.safetensors")
 
 
-def open_capture(path: Path, format: str | None = None, body: BodyModel | None = None) -> Capture:
+def open_capture(
+    path: Path,
+    format: str | None = None,
+    body: BodyModel | None = None,
+    poses: Mapping[str, Poses] | None = None,
+    poses_needed: bool = True,
+) -> Capture:
     """The capture in a folder; pictures are not read yet.
 
     Arguments:
@@ -37,6 +45,8 @@ def open_capture(path: Path, format: str | None = None, body: BodyModel | None =
         format: one of `FORMATS`, or None to find out.
         body: body model for pose files that need one (hands as coefficients); by default the one the capture
             brings as `body_model.npz`.
+        poses: take name to poses that stand in for the capture's own.
+        poses_needed: whether a take without poses is refused.
 
     Raises:
         MissingInput: no such folder, no layout recognised, files missing.
@@ -57,7 +67,29 @@ def open_capture(path: Path, format: str | None = None, body: BodyModel | None =
         body = load_body(body_model_path)
     if format is None:
         format = detect_format(root)
-    return _LAYOUTS[format][2](root, body, body_model_path)
+    capture = _LAYOUTS[format][2](root, body, body_model_path)
+    if poses is not None:
+        capture = with_poses(capture, poses)
+    poseless = [take.name for take in capture.takes if not take.posed]
+    if poses_needed and poseless:
+        raise MissingInput(
+            f"The capture has no body poses ({', '.join(poseless)}).",
+            f"{root}: no smpl_params.npz (in 4D-DRESS: no SMPLX/*.pkl)",
+            "Put its SMPL-X fit there, or fit the body: gw register-template CAPTURE -o SUBJECT --fit.",
+        )
+    return capture
+
+
+def with_poses(capture: Capture, poses: Mapping[str, Poses]) -> Capture:
+    """The capture with other poses for the takes named; frames beyond their rows are left out."""
+    takes = []
+    for take in capture.takes:
+        if take.name in poses:
+            given = poses[take.name]
+            frames = [frame for frame in take.frames if frame < len(given)]
+            take = replace(take, poses=given, frames=frames, posed=True)
+        takes.append(take)
+    return replace(capture, takes=tuple(takes))
 
 
 def detect_format(root: Path) -> str:

@@ -2,17 +2,32 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from stages.shared.artifacts.workspace import Workspace
 from stages.shared.body.model import BodyModel
+from stages.shared.body.poses import DEFAULT_FPS, Poses
 from stages.shared.capture.convention import AS_IS, capture_in_convention
+from stages.shared.capture.gather import read_poses
 from stages.shared.capture.open_capture import open_capture
 from stages.shared.capture.take import Capture
 from stages.shared.errors import MissingInput
 
 
-def remember_capture(workspace: Workspace, capture: Capture, convention: str = AS_IS) -> None:
-    """Note in the subject's settings where its capture is, its layout, and how its cameras are to be read."""
-    workspace.save_settings(capture=capture.root, capture_format=capture.format, camera_convention=convention)
+def remember_capture(
+    workspace: Workspace, capture: Capture, convention: str = AS_IS, fitted: Path | None = None
+) -> None:
+    """Note in the subject's settings where its capture is, its layout, and how its cameras are to be read.
+
+    Arguments:
+        fitted: folder with fitted poses `<take>.npz`; None when the capture's own are used.
+    """
+    workspace.save_settings(
+        capture=capture.root,
+        capture_format=capture.format,
+        camera_convention=convention,
+        fitted_poses="" if fitted is None else fitted,
+    )
 
 
 def open_subject_capture(workspace: Workspace, body: BodyModel | None = None) -> Capture:
@@ -29,5 +44,16 @@ def open_subject_capture(workspace: Workspace, body: BodyModel | None = None) ->
             str(workspace.root),
             "Register it from a capture: gw register-template CAPTURE -o SUBJECT.",
         )
-    capture = open_capture(workspace.setting_path("capture"), settings.get("capture_format"), body)
+    capture = open_capture(
+        workspace.setting_path("capture"), settings.get("capture_format"), body, _fitted(workspace)
+    )
     return capture_in_convention(capture, settings.get("camera_convention", AS_IS))
+
+
+def _fitted(workspace: Workspace) -> dict[str, Poses] | None:
+    """Poses of the takes that were fitted at registration; None where the capture's own are used."""
+    if not workspace.settings().get("fitted_poses"):
+        return None
+    folder = workspace.setting_path("fitted_poses")
+    found = {path.stem: read_poses(path, None, None, DEFAULT_FPS) for path in sorted(folder.glob("*.npz"))}
+    return {name: poses for name, poses in found.items() if isinstance(poses, Poses)}

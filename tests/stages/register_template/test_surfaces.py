@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
-from stages.register_template.fit import axis_rotations, fit_body
 from stages.register_template.frame_choice import choose_frame, openness
 from stages.register_template.hull import carve, largest_part, outward, smooth
-from stages.register_template.sources import posed_body
 from stages.shared.body import embedded_body
 from stages.shared.capture.take import Take
 from stages.shared.errors import BadData
@@ -105,30 +102,3 @@ def test_simplify_leaves_small_meshes_alone() -> None:
     assert simplify(ball, 10_000) == (ball, "unchanged")
     fewer, _ = simplify(ball, 400)
     assert len(fewer.faces) <= 420
-
-
-def test_the_24_turns_are_rotations_and_all_different() -> None:
-    turns = axis_rotations()
-    assert len({tuple(turn.reshape(-1)) for turn in turns}) == 24
-    for turn in turns:
-        assert np.allclose(Rotation.from_matrix(turn).as_matrix(), turn)
-
-
-def test_fit_finds_unit_turn_place_and_pose() -> None:
-    body = embedded_body()
-    pose = a_pose()[1]
-    posed = posed_body(body, pose)
-    z_up = Rotation.from_euler("x", 90, degrees=True).as_matrix()
-    given = Mesh((100 * (posed @ z_up.T) + [30.0, -20.0, 10.0]).astype(np.float32), body.faces)
-    fit = fit_body(body, given, 20, SILENT)
-    assert fit.report["unit"] == "cm"
-    fitted = posed_body(body, fit.poses)
-    error = np.linalg.norm(fitted - fit.mesh.vertices, axis=1)  # the same vertex of the same model
-    assert np.median(error) < 0.04 and error.mean() < 0.06
-    assert abs(np.ptp(fit.mesh.vertices[:, 1]) - np.ptp(posed[:, 1])) < 1e-3  # upright, metres
-
-
-def test_a_mesh_that_is_nobodys_size() -> None:
-    ball = sphere(0.02)
-    with pytest.raises(BadData, match="none of the units"):
-        fit_body(embedded_body(), Mesh(ball.vertices, ball.faces), 5, SILENT)

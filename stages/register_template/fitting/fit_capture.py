@@ -1,0 +1,168 @@
+"""Poses of whole takes from nothing but masks, and a scan of one frame if there is one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from stages.register_template.fitting.bones import State, bones_of
+from stages.register_template.fitting.contours import views_of
+from stages.register_template.fitting.fit_scan import fit_scan
+from stages.register_template.fitting.fit_views import (
+    Seen,
+    first_pose,
+    joined,
+    misfit_of,
+    refine,
+    track,
+    with_scan,
+)
+from stages.register_template.fitting.rough_hull import rough_hull
+from stages.shared.body import BodyModel, Poses
+from stages.shared.capture import Take
+from stages.shared.meshes.mesh import Mesh
+from stages.shared.report import Report
+
+_SHAPE_FRAMES = 4
+_CONTOUR_POINTS, _CONTOUR_POINTS_TRACKED = 400, 200
+_TOGETHER = ((0.05, 6, 0.1), (0.025, 10, 0.03))
+_POLISH = ((0.03, 3, 0.05),)
+_LOST_TIMES, _LOST_M = 2.0, 0.01  # a frame that fits this much worse than usual is named
+
+
+@dataclass(frozen=True, eq=False)
+class TakesFit:
+    """Poses of every take, all with one shape, and numbers for the report."""
+
+    poses: dict[str, Poses]
+    told: dict[str, Any]
+
+
+def fit_takes(
+    body: BodyModel, takes: Sequence[Take], scan: Mesh | None, report: Report, effort: float = 1.0
+) -> TakesFit:
+    """Fit all frames of all takes.
+
+    Arguments:
+        takes: the one whose first frame (or scan) shows the person best comes first; it decides the shape.
+            Poses of takes that have any (`posed`) are where the fit starts.
+        scan: of the first take's `scan_frame`, metres, clean.
+
+    Raises:
+        BadData: a mask is empty, or masks have no volume in common.
+    """
+    main = takes[0]
+    anchor = main.scan_frame if scan is not None and main.scan_frame in main.frames else main.frames[0]
+    report.step(f"fitting the body to frame {anchor} of {main.name}")
+    seen = with_scan(views_of(main, anchor, _CONTOUR_POINTS), scan)
+    start = _start(body, main, anchor, seen, scan, report, effort)
+    states = _all_frames(body, main, anchor, start, report, effort)
+    report.step("fitting one shape to several frames")
+    state = _one_shape(body, main, anchor, states, seen, effort)
+    poses: dict[str, Poses] = {}
+    misfits: dict[str, float] = {}
+    for take in takes:
+        if take is not main:
+            own = with_scan(views_of(take, take.frames[0], _CONTOUR_POINTS), None)
+            begin = _start(body, take, take.frames[0], own, None, report, effort)
+            states = _all_frames(body, take, take.frames[0], begin, report, effort)
+        report.step(f"polishing {take.name}")
+        poses[take.name], misfits[take.name] = _polished(body, take, states, state.betas, report)
+    return TakesFit(poses, {"misfit_m": misfits, "shape_from_frames": _spread(main.frames)})
+
+
+def _start(
+    body: BodyModel, take: Take, frame: int, seen: Seen, scan: Mesh | None, report: Report, effort: float
+) -> State:
+    """One frame of parameters: given, from the scan, or from the masks alone."""
+    if take.posed:
+        state = State.of(take.poses[frame])
+        return refine(body, state, [seen], _TOGETHER, effort, shape=True)
+    if scan is not None:
+        state = fit_scan(body, scan, report, effort).state
+        return refine(body, state, [seen], _TOGETHER[1:], effort, shape=True)
+    return first_pose(body, rough_hull(take, frame), seen, report, effort)
+
+
+def _all_frames(
+    body: BodyModel, take: Take, anchor: int, start: State, report: Report, effort: float
+) -> dict[int, State]:
+    """States of all frames: the given ones with the shape of `start`, or followed in time from the anchor."""
+    if take.posed:
+        return {
+            frame: replace(State.of(take.poses[frame]), betas=start.betas.copy()) for frame in take.frames
+        }
+    report.step(f"following the body through {take.name}")
+    later = [frame for frame in take.frames if frame > anchor]
+    earlier = [frame for frame in reversed(take.frames) if frame < anchor]
+    lazily = _Views(take)
+    found = {anchor: start}
+    for frames in (later, earlier):
+        found |= track(body, start, frames, lazily, report)
+    return found
+
+
+def _one_shape(
+    body: BodyModel, take: Take, anchor: int, states: Mapping[int, State], seen: Seen, effort: float
+) -> State:
+    """Frames spread over the take, improved together with the shape they share."""
+    frames = sorted({anchor, *_spread(take.frames)})
+    together = [seen if frame == anchor else Seen(views_of(take, frame, _CONTOUR_POINTS)) for frame in frames]
+    state = joined([states[frame] for frame in frames])
+    state.betas = states[anchor].betas.copy()
+    return refine(body, state, together, _TOGETHER, effort, shape=True)
+
+
+def _polished(
+    body: BodyModel, take: Take, states: Mapping[int, State], betas: np.ndarray, report: Report
+) -> tuple[Poses, float]:
+    """Poses of all frames with the shape that all share, and the median misfit of their contours, metres.
+
+    Frames that were not captured repeat the one before them.
+    """
+    found: dict[int, State] = {}
+    misfits: dict[int, float] = {}
+    lazily = _Views(take)
+    for number, frame in enumerate(take.frames):
+        state = with_shape(body, states[frame], betas)
+        found[frame] = refine(body, state, [lazily[frame]], _POLISH, 1.0, shape=False)
+        misfits[frame] = misfit_of(body, found[frame], lazily[frame])
+        report.progress(number + 1, len(take.frames))
+    usual = float(np.median(list(misfits.values())))
+    lost = [frame for frame, value in misfits.items() if value > _LOST_TIMES * usual + _LOST_M]
+    if lost:
+        report.warn(f"{take.name}: the body fits {len(lost)} frames badly, the first is {lost[0]}")
+    rows = np.searchsorted(take.frames, np.arange(max(take.frames) + 1), side="right") - 1
+    order = [found[take.frames[max(row, 0)]] for row in rows]
+    state = joined(order)
+    state.betas = np.asarray(betas, np.float64)
+    return state.poses(take.fps), usual
+
+
+def with_shape(body: BodyModel, state: State, betas: np.ndarray) -> State:
+    """The same one-frame pose with another shape, its joints where they were on average."""
+    before = bones_of(body, state).joints[:22].mean(axis=0)
+    changed = replace(state, betas=np.asarray(betas, np.float64).copy(), translation=state.translation.copy())
+    changed.translation[0] += before - bones_of(body, changed).joints[:22].mean(axis=0)
+    return changed
+
+
+class _Views(dict[int, Seen]):
+    """Masks of frames, read when asked for; only the last frame is kept."""
+
+    def __init__(self, take: Take) -> None:
+        super().__init__()
+        self._take = take
+
+    def __missing__(self, frame: int) -> Seen:
+        self.clear()
+        self[frame] = Seen(views_of(self._take, frame, _CONTOUR_POINTS_TRACKED))
+        return self[frame]
+
+
+def _spread(frames: Sequence[int]) -> list[int]:
+    rows = np.unique(np.linspace(0, len(frames) - 1, _SHAPE_FRAMES).astype(int))
+    return [frames[row] for row in rows]

@@ -1,0 +1,152 @@
+"""Fit the body to a scan of a dressed person: from many starts, coarse to fine."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.register_template.fitting.bare_skin import guess_bound
+from stages.register_template.fitting.bones import State, SurfacePoints, bones_of, vertices_of
+from stages.register_template.fitting.prior import Prior
+from stages.register_template.fitting.scan_terms import (
+    ScanPoints,
+    from_body,
+    from_scan,
+    misfit,
+    nearest_on_body,
+    outer_points,
+    scan_points,
+)
+from stages.register_template.fitting.solve import Free, step
+from stages.register_template.fitting.starts import Start, make_starts
+from stages.shared.body import BodyModel
+from stages.shared.body.skeleton import JOINT_INDEX, SHAPE_COUNT
+from stages.shared.errors import BadData
+from stages.shared.meshes.mesh import Mesh
+from stages.shared.report import Report
+
+_LARGE_JOINTS = np.array(
+    [0] + [JOINT_INDEX[f"{side}_{name}"] for side in ("left", "right")
+           for name in ("hip", "knee", "shoulder", "elbow")]
+)  # fmt: skip
+BODY_JOINTS = np.arange(22)
+_ALL_JOINTS = np.r_[np.arange(22), np.arange(25, 55)]
+_FIRST_BETAS = np.arange(2)
+ALL_BETAS = np.arange(SHAPE_COUNT)
+_MOST_STARTS = 16
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """One round of a fit.
+
+    Attributes:
+        points: points on either surface. robust: metres. steps: at full length. kept: starts that go on.
+        joints, betas: what may move. loosest: how far even cloth is bound to the skin.
+    """
+
+    points: int
+    robust: float
+    steps: int
+    kept: int
+    joints: NDArray[np.intp]
+    betas: NDArray[np.intp]
+    loosest: float
+
+
+LEVELS = (
+    Level(400, 0.25, 6, 4, _LARGE_JOINTS, _FIRST_BETAS, 0.5),
+    Level(1000, 0.12, 8, 2, BODY_JOINTS, ALL_BETAS, 0.3),
+    Level(2000, 0.05, 8, 1, BODY_JOINTS, ALL_BETAS, 0.1),
+    Level(3000, 0.02, 10, 1, BODY_JOINTS, ALL_BETAS, 0.03),
+    Level(5000, 0.01, 12, 1, _ALL_JOINTS, ALL_BETAS, 0.02),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class ScanFit:
+    """The body in a scan: one frame of parameters in the scan's frame, which axis is up, and the misfit."""
+
+    state: State
+    up: str
+    loss: float
+
+
+def fit_scan(
+    body: BodyModel,
+    mesh: Mesh,
+    report: Report,
+    effort: float = 1.0,
+    start: State | None = None,
+    levels: tuple[Level, ...] = LEVELS,
+) -> ScanFit:
+    """Fit pose and shape to one mesh.
+
+    Arguments:
+        mesh: of one standing person, metres, clean (`scan_cleaning`).
+        effort: share of the steps of every level.
+        start: one frame to improve; without it every up axis and eight ways to face are tried.
+        levels: rounds, coarse to fine; the first two are left out when there is a start.
+
+    Raises:
+        BadData: no way to stand a person into the mesh.
+    """
+    scan = scan_points(mesh, LEVELS[-1].points)
+    if start is None:
+        starts = make_starts(body, scan.points)
+        if not starts:
+            size = np.ptp(mesh.vertices, axis=0)
+            raise BadData(
+                f"The mesh is {size[0]:.2f} x {size[1]:.2f} x {size[2]:.2f} m large: nobody stands in there.",
+                f"mesh of {len(mesh.vertices)} vertices",
+                "Give a mesh of one standing person, or the body fit with --params.",
+            )
+        starts = _promising(body, starts, scan)
+    else:
+        starts, levels = [Start("+y", start)], levels[2:]
+    for level in levels:
+        thinned, outer = scan.thinned(level.points), outer_points(body, level.points)
+        for number, one in enumerate(starts):
+            _improve(body, one, thinned, outer, level, effort, guess=mesh.labels is None)
+            report.progress(number + 1, len(starts), loss=one.loss)
+        starts = sorted(starts, key=lambda one: one.loss)[: level.kept]
+    best = starts[0]
+    return ScanFit(best.state, best.up, best.loss)
+
+
+def _promising(body: BodyModel, starts: list[Start], scan: ScanPoints) -> list[Start]:
+    """The starts that fit best as they are."""
+    level = LEVELS[0]
+    thinned, outer = scan.thinned(level.points), outer_points(body, level.points)
+    for one in starts:
+        places = bones_of(body, one.state, 0).place(outer)
+        one.loss = misfit(body, vertices_of(body, one.state), places, thinned, level.robust)
+    return sorted(starts, key=lambda one: one.loss)[:_MOST_STARTS]
+
+
+def _improve(
+    body: BodyModel,
+    start: Start,
+    scan: ScanPoints,
+    outer: SurfacePoints,
+    level: Level,
+    effort: float,
+    guess: bool,
+) -> None:
+    """Some steps from a start, in place."""
+    free, state, prior = Free(level.joints, level.betas), start.state, Prior()
+    for number in range(max(3, round(effort * level.steps))):
+        bones, vertices = bones_of(body, state, 0), vertices_of(body, state)
+        if guess and number % 4 == 0 and level is not LEVELS[0]:
+            scan = replace(scan, bound=guess_bound(body, nearest_on_body(body, vertices, scan.points), scan))
+        bound = scan.bound_at_least(level.loosest)
+        terms = [
+            from_scan(body, vertices, bound, level.robust),
+            from_body(outer, bones.place(outer), bound, level.robust),
+        ]
+        state = step(state, [bones], [terms], prior, free)
+    start.state = state
+    places = bones_of(body, state, 0).place(outer)
+    start.loss = misfit(body, vertices_of(body, state), places, scan, level.robust)

@@ -1,0 +1,148 @@
+"""Fit the body to images: a hull of the masks finds the pose, contours refine it, neighbours in time help.
+
+Frames of all takes share one shape. The first frame is found from many starts, like a scan; every other one
+starts where the frame before it ended. A few frames, spread over the motion, then improve the shape together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stages.register_template.fitting.bones import State, SurfacePoints, bones_of, vertices_of
+from stages.register_template.fitting.contours import View
+from stages.register_template.fitting.fit_scan import ALL_BETAS, BODY_JOINTS, LEVELS, fit_scan
+from stages.register_template.fitting.prior import Prior
+from stages.register_template.fitting.scan_terms import (
+    ScanPoints,
+    from_body,
+    from_scan,
+    outer_points,
+    scan_points,
+)
+from stages.register_template.fitting.solve import Free, Residuals, step
+from stages.register_template.fitting.view_terms import contour_distance, outside_of_mask, view_misfit
+from stages.shared.body import BodyModel
+from stages.shared.body.skeleton import JOINT_COUNT
+from stages.shared.meshes.mesh import Mesh
+from stages.shared.meshes.topology import face_normals
+from stages.shared.report import Report
+
+_OUTER_POINTS = 800
+_ROUNDS = ((0.10, 8, 0.3), (0.05, 10, 0.1), (0.025, 12, 0.03))  # robust distance (m), steps, looseness
+_TRACK = ((0.08, 4, 0.2), (0.03, 5, 0.05))
+_SCAN_ROUND = LEVELS[-2]
+_NEAR_SPREAD = np.radians(20.0)  # that a joint turns between two frames
+_MISFIT_M = 0.10
+_NO_BETAS = np.arange(0)
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What is known of one frame: its masks, and a scan if there is one."""
+
+    views: Sequence[View]
+    scan: ScanPoints | None = None
+
+
+def first_pose(body: BodyModel, hull: Mesh, seen: Seen, report: Report, effort: float = 1.0) -> State:
+    """One frame from nothing: the hull of its masks as a rough scan, then contours (and the scan)."""
+    rough = fit_scan(body, hull, report, effort, levels=LEVELS[:3])
+    return refine(body, rough.state, [seen], _ROUNDS, effort, shape=True)
+
+
+def track(
+    body: BodyModel, start: State, frames: Sequence[int], seen: Mapping[int, Seen], report: Report
+) -> dict[int, State]:
+    """One-frame states of `frames`, which follow each other in time; the shape of `start` stays."""
+    found: dict[int, State] = {}
+    before, earlier = start, None
+    for number, frame in enumerate(frames):
+        guess = before.copy()
+        if earlier is not None:
+            guess.translation = guess.translation + 0.5 * (before.translation - earlier.translation)
+        prior = Prior(near=before.rotations, near_spread=np.full(JOINT_COUNT, _NEAR_SPREAD))
+        found[frame] = refine(body, guess, [seen[frame]], _TRACK, 1.0, shape=False, prior=prior)
+        before, earlier = found[frame], before
+        report.progress(number + 1, len(frames))
+    return found
+
+
+def refine(
+    body: BodyModel,
+    state: State,
+    seen: Sequence[Seen],
+    rounds: Sequence[tuple[float, int, float]],
+    effort: float,
+    shape: bool,
+    prior: Prior | None = None,
+) -> State:
+    """Improve the frames of a state together by their contours and scans.
+
+    Arguments:
+        seen: for every frame of `state`. rounds: robust distance, steps and looseness of each.
+        shape: whether the betas move, too.
+    """
+    outer = outer_points(body, _OUTER_POINTS)
+    free = Free(BODY_JOINTS, ALL_BETAS if shape else _NO_BETAS)
+    prior = prior or Prior()
+    for robust, steps, loosest in rounds:
+        for _ in range(max(2, round(effort * steps))):
+            bones = [bones_of(body, state, number) for number in range(len(seen))]
+            terms = [
+                _terms(
+                    body,
+                    vertices_of(body, state, number),
+                    outer,
+                    bones[number].place(outer),
+                    one,
+                    robust,
+                    loosest,
+                )
+                for number, one in enumerate(seen)
+            ]
+            state = step(state, bones, terms, prior, free)
+    return state
+
+
+def misfit_of(body: BodyModel, state: State, seen: Seen) -> float:
+    """Root of the mean squared robust distance of one frame's contours, metres."""
+    outer = outer_points(body, _OUTER_POINTS)
+    places = bones_of(body, state).place(outer)
+    return float(np.sqrt(view_misfit(body, vertices_of(body, state), places, list(seen.views), _MISFIT_M)))
+
+
+def with_scan(views: Sequence[View], scan: Mesh | None) -> Seen:
+    """A frame that has masks and perhaps a scan in metres."""
+    return Seen(views, None if scan is None else scan_points(scan, _SCAN_ROUND.points))
+
+
+def joined(states: Sequence[State]) -> State:
+    """One-frame states as one state, with the mean of their shapes."""
+    return State(
+        np.concatenate([one.rotations for one in states]),
+        np.concatenate([one.translation for one in states]),
+        np.mean([one.betas for one in states], axis=0),
+    )
+
+
+def _terms(
+    body: BodyModel,
+    vertices: np.ndarray,
+    outer: SurfacePoints,
+    places: np.ndarray,
+    seen: Seen,
+    robust: float,
+    loosest: float,
+) -> list[Residuals]:
+    terms, normals = [], face_normals(vertices, body.faces)[0]
+    for view in seen.views:
+        terms.append(outside_of_mask(outer, places, view, robust))
+        terms.append(contour_distance(body, vertices, normals, view, robust, loosest))
+    if seen.scan is not None:
+        bound = seen.scan.bound_at_least(loosest)
+        near = min(robust, _SCAN_ROUND.robust)
+        terms += [from_scan(body, vertices, bound, near), from_body(outer, places, bound, near)]
+    return [one for one in terms if len(one.values)]

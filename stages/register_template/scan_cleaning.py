@@ -1,0 +1,158 @@
+"""A scan as people have them, made fit for use: unit, doubled vertices, faces inside out, size, people."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.shared.errors import BadData
+from stages.shared.meshes.mesh import Mesh
+from stages.shared.meshes.raycast import RayScene
+from stages.shared.meshes.remesh import cluster, simplify
+from stages.shared.meshes.topology import components, face_normals, keep_faces
+from stages.shared.report import Report
+
+# Metres per unit: metre, centimetre, millimetre, inch, foot.
+UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
+_SHORTEST, _LONGEST = 1.2, 2.4  # largest side of a person's box, metres
+_WELD_M = 1e-6
+_CLUSTERED_FROM = 3  # times the most faces: edge collapse takes minutes beyond
+_RAYS = 6  # to either side of a face
+_LIFT_M = 5e-4
+_PERSON_TALL, _PERSON_AREA, _APART_M = 0.6, 0.2, 0.35  # shares of the mesh; between middles of two people
+
+
+@dataclass(frozen=True, eq=False)
+class CleanScan:
+    """A mesh in metres, one person, faces outward; and what had to be done (for the report)."""
+
+    mesh: Mesh
+    told: dict[str, Any]
+
+
+def clean_scan(mesh: Mesh, most_faces: int, where: str, report: Report) -> CleanScan:
+    """Make a scan usable, and say what was wrong with it.
+
+    Arguments:
+        mesh: any of `UNITS`; holes are left as they are.
+        most_faces: a larger scan is simplified to about as many.
+
+    Raises:
+        BadData: nobody's size in any unit; two people.
+    """
+    unit, metres = unit_of(mesh, where)
+    if unit != "m":
+        report.warn(f"the scan is in {unit}; it is taken times {metres:g}")
+        mesh = replace(mesh, vertices=(metres * mesh.vertices.astype(np.float64)).astype(np.float32))
+    mesh, welded, dropped = weld(mesh)
+    if not len(mesh.faces):
+        raise BadData("No face of the mesh has an area.", where, "Export the mesh again.")
+    refuse_two_people(mesh, where)
+    way = "unchanged"
+    if len(mesh.faces) > _CLUSTERED_FROM * most_faces:
+        mesh, way = cluster(mesh, 2 * most_faces), "clustered"
+    mesh, flipped = outward_faces(mesh)
+    if flipped:
+        report.say(f"{flipped} of {len(mesh.faces)} faces were turned inside out")
+    mesh, simplified = simplify(mesh, most_faces)
+    if way == "clustered" or simplified != "unchanged":
+        report.say(f"the scan is simplified to {len(mesh.faces)} faces")
+    told = {
+        "unit": unit,
+        "metres_per_unit": metres,
+        "doubled_vertices": welded,
+        "faces_without_area_or_doubled": dropped,
+        "faces_turned": flipped,
+        "simplified": simplified if way == "unchanged" else f"{way}, {simplified}",
+    }
+    return CleanScan(mesh, told)
+
+
+def unit_of(mesh: Mesh, where: str) -> tuple[str, float]:
+    """The unit in which the mesh is as large as a person, metres first, and its metres."""
+    size = float((mesh.vertices.max(axis=0) - mesh.vertices.min(axis=0)).max())
+    for name, metres in UNITS.items():
+        if _SHORTEST <= size * metres <= _LONGEST:
+            return name, metres
+    raise BadData(
+        f"The mesh is {size:.4g} units large: a person's size in none of the units {', '.join(UNITS)}.",
+        where,
+        "Scale the mesh to metres, or cut away what is not the person.",
+    )
+
+
+def weld(mesh: Mesh) -> tuple[Mesh, int, int]:
+    """Vertices at one place made one, faces without area or stated twice left out; how many of either."""
+    keys = np.rint(mesh.vertices.astype(np.float64) / _WELD_M).astype(np.int64)
+    _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    faces = inverse.reshape(-1)[mesh.faces]
+    corners = np.sort(faces, axis=1)
+    area = (corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2])
+    _, once = np.unique(corners, axis=0, return_index=True)
+    keep = np.zeros(len(faces), bool)
+    keep[once] = True
+    keep &= area
+    # The order of the vertices stays, so that a clean scan is left as it is.
+    order = np.argsort(first)
+    rank = np.empty(len(first), np.int64)
+    rank[order] = np.arange(len(first))
+    kept = first[order]
+    welded = Mesh(
+        mesh.vertices[kept],
+        rank[faces[keep]].astype(np.int32),
+        None if mesh.colors is None else mesh.colors[kept],
+        None if mesh.labels is None else mesh.labels[kept],
+    )
+    return welded, len(mesh.vertices) - len(kept), int((~keep).sum())
+
+
+def outward_faces(mesh: Mesh, seed: int = 0) -> tuple[Mesh, int]:
+    """The mesh with every face turned to the side from which more rays escape, and how many were turned."""
+    normals = face_normals(mesh.vertices, mesh.faces)[0]
+    middles = mesh.vertices[mesh.faces].astype(np.float64).mean(axis=1)
+    directions = np.random.default_rng(seed).normal(size=(_RAYS, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    scene = RayScene(mesh.vertices, mesh.faces)
+    free = np.zeros((2, len(middles)), np.int32)
+    for direction in directions:
+        upward = np.where((normals @ direction)[:, None] > 0, direction, -direction)
+        for side, sign in enumerate((1.0, -1.0)):
+            rays = sign * (upward + 0.5 * normals)
+            free[side] += ~scene.first_hits(middles + sign * _LIFT_M * normals, rays).hit
+    turned = free[1] > free[0]
+    faces = mesh.faces.copy()
+    faces[turned] = faces[turned][:, ::-1]
+    return replace(mesh, faces=faces), int(turned.sum())
+
+
+def refuse_two_people(mesh: Mesh, where: str) -> None:
+    """Raise BadData when two parts of the mesh are both as tall as a person and stand side by side."""
+    part = components(mesh.faces, len(mesh.vertices))
+    of_face = part[mesh.faces[:, 0]]
+    areas = np.bincount(of_face, face_normals(mesh.vertices, mesh.faces)[1])
+    whole = float(np.ptp(mesh.vertices, axis=0).max())
+    people = []
+    for number in np.flatnonzero(areas > _PERSON_AREA * areas.sum()):
+        vertices = mesh.vertices[keep_faces(mesh.faces, of_face == number, len(mesh.vertices))[1]]
+        if np.ptp(vertices, axis=0).max() > _PERSON_TALL * whole:
+            people.append(_middle(vertices))
+    for place, one in enumerate(people):
+        for other in people[place + 1 :]:
+            if np.linalg.norm(one - other) > _APART_M:
+                raise two_people(where, f"two parts stand {np.linalg.norm(one - other):.2f} m apart")
+
+
+def two_people(where: str, reason: str) -> BadData:
+    """The error for a mesh with more than one person in it."""
+    return BadData(
+        f"There is more than one person in the mesh, or a person and something large: {reason}.",
+        where,
+        "Cut the mesh so that one person is left.",
+    )
+
+
+def _middle(vertices: NDArray[np.floating]) -> NDArray[np.float64]:
+    return (vertices.max(axis=0).astype(np.float64) + vertices.min(axis=0)) / 2

@@ -5,9 +5,7 @@ from __future__ import annotations
 from stages.shared.artifacts.spec import StageSpec
 
 REGISTER_TEMPLATE = StageSpec("register-template", "gw register-template CAPTURE -o SUBJECT", ())
-CANONICALIZE = StageSpec(
-    "canonicalize", "gw canonicalize SUBJECT", ("register-template",), code_version=2
-)
+CANONICALIZE = StageSpec("canonicalize", "gw canonicalize SUBJECT", ("register-template",), code_version=2)
 SEGMENT_LAYERS = StageSpec(
     "segment-layers", "gw segment-layers SUBJECT", ("register-template", "canonicalize")
 )

@@ -34,6 +34,23 @@ def register(app: typer.Typer) -> None:
         image_scale: Annotated[
             float | None, typer.Option(min=0.05, max=1.0, help="Learn from smaller pictures; 1 is full size.")
         ] = None,
+        track_step: Annotated[
+            int | None,
+            typer.Option(
+                min=0,
+                help="Follow the garments through every so many-th frame before training, by optical flow "
+                "from render to image; 0 to go without.",
+            ),
+        ] = None,
+        history: Annotated[
+            int | None,
+            typer.Option(
+                min=0,
+                max=6,
+                help="Memories of recent motion (fading in 0.1, 0.3, 0.9 … s) that garments see beside the "
+                "pose; 0 for the pose alone. Still poses have no motion.",
+            ),
+        ] = None,
         method: Annotated[
             str,
             typer.Option(
@@ -86,6 +103,10 @@ def register(app: typer.Typer) -> None:
             without=names(without),
             **{name: value for name, value in chosen.items() if value is not None},
         )
+        if track_step is not None:
+            config = replace(config, track=replace(config.track, frame_step=track_step))
+        if history is not None:
+            config = replace(config, model=replace(config.model, history=history))
         if dry_run:
             console.plan(stage.plan(subject, config, perceptual_weights))
             return

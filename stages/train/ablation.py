@@ -27,6 +27,8 @@ PARTS: dict[str, str] = {
     "lpips": "LPIPS of subject and face",
     "flow": "optical flow from render to image",
     "coarse": "small pictures first",
+    "tracking": "following the garments through the take first",
+    "history": "recent motion beside the pose",
     "anchors": "free offsets of anchor poses",
     "base": "free attributes per texel",
     "prior": "projection of poses unlike the training's",
@@ -53,6 +55,10 @@ def ablated(config: TrainConfig) -> TrainConfig:
     model = config.model
     if "anchors" in config.without:
         model = replace(model, anchors=0)
+    if "history" in config.without:
+        model = replace(model, history=0)
+    if "tracking" in config.without:
+        config = replace(config, track=replace(config.track, frame_step=0))
     if "prior" in config.without:
         model = replace(model, pose_prior=0)
     if "base" in config.without:

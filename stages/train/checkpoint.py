@@ -19,10 +19,12 @@ class RunState:
     """Where a run stands.
 
     Attributes:
-        step: next step to do. elapsed: seconds trained so far. skipped: steps that were not finite;
+        tracked: frames followed so far, −1 before the warm-up. step: next step to do. elapsed: seconds
+        trained so far. skipped: steps that were not finite;
         skipped_in_a_row: the latest of them.
     """
 
+    tracked: int = -1
     step: int = 0
     elapsed: float = 0.0
     skipped: int = 0

@@ -49,6 +49,25 @@ class LearningRates:
 
 
 @dataclass(frozen=True)
+class TrackConfig:
+    """How garments are followed through the take before training (`stages/train/tracking.py`).
+
+    Attributes:
+        frame_step: follow every so many-th frame, each with an anchor of its own; 0 switches tracking off.
+        warm_up: steps that first learn the template's own frame. rounds: Gauss-Newton steps per frame.
+        bending, stretch, inertia: weights of smoothness (second and first differences) and of staying where
+            the last frame was, against one trusted pixel of one texel.
+    """
+
+    frame_step: int = 0
+    warm_up: int = 60
+    rounds: int = 3
+    bending: float = 30.0
+    stretch: float = 0.5
+    inertia: float = 0.3
+
+
+@dataclass(frozen=True)
 class TrainConfig:
     """Configuration of a training run.
 
@@ -66,7 +85,7 @@ class TrainConfig:
         label_kind: "l1" or "l2". penetration_margin: ε, m.
         perceptual_side: px, side of the square crops that LPIPS sees. perceptual_digest: SHA-256 of the file
             of perceptual weights, empty for none; the stage fills it in.
-        weights, rates, model: see there.
+        weights, rates, track, model: see there.
         method: what is learned: "gaussian-wardrobe" (a layer per garment), or a baseline
             (`stages/train/method.py`). without: parts left out (`stages/train/ablation.py`).
         device: auto, cpu or cuda; not part of what the result is named by.
@@ -90,6 +109,7 @@ class TrainConfig:
     perceptual_digest: str = ""
     weights: LossWeights = field(default_factory=LossWeights)
     rates: LearningRates = field(default_factory=LearningRates)
+    track: TrackConfig = field(default_factory=TrackConfig)
     model: ModelConfig = field(default_factory=ModelConfig)
     method: str = METHODS[0]
     without: tuple[str, ...] = ()
@@ -106,7 +126,14 @@ _ECONOMY = LossWeights(
     flow=10.0,
     covered_skin=0.02,
 )
-DRAFT = TrainConfig(perceptual_side=128, weights=_ECONOMY, model=ModelConfig(pose_prior=20, anchors=40))
+_TRACKED = TrackConfig(frame_step=1)
+DRAFT = TrainConfig(
+    perceptual_side=128,
+    weights=_ECONOMY,
+    rates=LearningRates(anchors=2e-4),
+    track=_TRACKED,
+    model=ModelConfig(pose_prior=20, anchors=40, anchor_widths="own", history=3),
+)
 PRESETS: dict[str, TrainConfig] = {
     "tiny": replace(
         DRAFT,
@@ -114,15 +141,16 @@ PRESETS: dict[str, TrainConfig] = {
         views_per_step=2,
         image_scale=0.5,
         perceptual_side=64,
+        track=TrackConfig(),
         model=ModelConfig(pose_prior=20, width=0.0625, depth=2, style=16, factor=4, anchors=8),
     ),
     "draft": DRAFT,
     "balanced": replace(
         DRAFT,
         steps=8000,
-        frame_step=2,
+        frame_step=1,
         perceptual_side=256,
-        model=ModelConfig(pose_prior=20, width=0.25, depth=5, style=64, factor=2, anchors=100),
+        model=replace(DRAFT.model, width=0.25, depth=5, style=64, factor=2, anchors=100),
     ),
     "paper": TrainConfig(
         steps=300_000,

@@ -30,11 +30,12 @@ def learn(trainer: Trainer, progress: Progress, state: RunState, report: Report)
     """Steps until the schedule ends; checkpoints, metrics and previews on the way."""
     config = trainer.config
     shown = preview_views(trainer.views, trainer.frames)
-    report.step("train")
     pending: list[StepReport] = []
-    saved = previewed = time.monotonic()
-    _save_preview(trainer, progress, state, shown)
     with _interrupt_flag() as interrupted:
+        _follow(trainer, progress, state, interrupted, report)
+        report.step("train")
+        saved = previewed = time.monotonic()
+        _save_preview(trainer, progress, state, shown)
         while schedule.progress(config, state.step, state.elapsed) < 1.0:
             started = time.monotonic()
             done = trainer.step(state.step, state.elapsed)
@@ -62,6 +63,33 @@ def learn(trainer: Trainer, progress: Progress, state: RunState, report: Report)
     _save_preview(trainer, progress, state, shown)
     if pending:
         progress.append_line(METRICS_NAME, _line(pending, schedule.image_scale(config, 1.0)))
+
+
+def _follow(
+    trainer: Trainer, progress: Progress, state: RunState, interrupted: threading.Event, report: Report
+) -> None:
+    """Warm up and follow the garments through the take, where that is asked for and not yet done."""
+    tracker = trainer.tracker
+    if tracker is None or state.step or state.tracked >= len(tracker.order):
+        return
+    report.step("track")
+    saved = time.monotonic()
+    while state.tracked < len(tracker.order):
+        started = time.monotonic()
+        if state.tracked < 0:
+            trainer.warm_up()
+        else:
+            tracker.follow(state.tracked)
+        state.tracked += 1
+        state.elapsed += time.monotonic() - started
+        report.progress(state.tracked, len(tracker.order))
+        done = state.tracked == len(tracker.order)
+        if done or interrupted.is_set() or time.monotonic() - saved > _CHECKPOINT_SECONDS:
+            checkpoint.save(progress, trainer, state)
+            saved = time.monotonic()
+        if interrupted.is_set():
+            report.say(f"checkpoint written at frame {state.tracked}")
+            raise KeyboardInterrupt
 
 
 def _done(trainer: Trainer, state: RunState) -> float:

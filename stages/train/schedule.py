@@ -29,9 +29,10 @@ def rate_factor(config: TrainConfig, done: float) -> float:
 def is_coarse(config: TrainConfig, done: float) -> bool:
     """Whether the run is still at small pictures, where nothing but positions is learned.
 
-    Gaussians that could change size or colour then would fit the blur instead of moving.
+    Gaussians that could change size or colour then would fit the blur instead of moving. A tracked run needs
+    none of it: its geometry is near from the start.
     """
-    return config.coarse_until > 0 and done < config.coarse_until
+    return config.track.frame_step == 0 and done < config.coarse_until
 
 
 def image_scale(config: TrainConfig, done: float) -> float:
@@ -46,11 +47,11 @@ def stage_weights(config: TrainConfig, done: float) -> LossWeights:
     """The weights in force.
 
     The first stage knows neither penetration nor smoothing nor the face's LPIPS (Gaussian Wardrobe,
-    sec. 3.4); flow guides the early part only.
+    sec. 3.4); flow guides the early part only, and not where garments were tracked.
     """
     weights = config.weights
     if done < config.stage_two:
         weights = replace(weights, penetration=0.0, smooth=0.0, face=0.0)
-    if done >= config.flow_until:
+    if done >= config.flow_until or config.track.frame_step:
         weights = replace(weights, flow=0.0)
     return weights

@@ -201,13 +201,17 @@ def _trainer(
             "Register the subject again with `gw register-template`.",
         )
     views = TrainingViews(source.take, poses, body, list(maps))
-    frames = len(views.frames(config.frame_step))
-    shape = replace(config.model, anchors=min(config.model.anchors, frames))
+    frames = len(views.frames(config.track.frame_step or config.frame_step))
+    anchors = (
+        frames if config.track.frame_step and config.model.anchors else min(config.model.anchors, frames)
+    )
+    shape = replace(config.model, anchors=anchors)
     models = {
         name: new_model(layer.to(device), shape, frames, seed=config.seed + index).to(device)
         for index, (name, layer) in enumerate(maps.items())
     }
-    return Trainer(config, models, views, device, perceptual)
+    template_frame = int(source.registered.summary.get("frame", 0))
+    return Trainer(config, models, views, device, perceptual, template_frame)
 
 
 def _summary(trainer: Trainer, state: RunState, progress: Progress) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from torch import Tensor
 from stages.shared.avatar.compose import Composite, compose
 from stages.shared.avatar.decoder import AvatarModel
 from stages.shared.avatar.deform import PosedGaussians, pose_layer, view_cosines
+from stages.shared.avatar.motion import recent_motion
 from stages.shared.avatar.pose import FramePose, frame_pose
 from stages.shared.capture import Camera
 from stages.shared.errors import BadData
@@ -24,6 +25,8 @@ from stages.train import schedule
 from stages.train.config import LearningRates, LossWeights, TrainConfig
 from stages.train.data import StepChoice, TrainingViews, choose
 from stages.train.objective import Lens, Surfaces, picture_terms, surface_terms, weighted
+from stages.train.tracking import Tracker, has_anchors
+from stages.train.warm_up import warm_up
 
 _ADAM_EPSILON = 1e-15  # gradients of single Gaussians are tiny; the usual 1e-8 would drown them
 _LATER_KINDS = ("quaternion", "opacity", "scale", "color")  # free attributes that wait for full-size pictures
@@ -58,6 +61,7 @@ class Trainer:
     Arguments:
         config: of the run. models: name to model, inner to outer, on `device`. views: training pictures.
         device: where everything is computed. perceptual: metric of the LPIPS terms; None: without.
+        template_frame: the frame that the template was taken from.
     """
 
     def __init__(
@@ -67,7 +71,10 @@ class Trainer:
         views: TrainingViews,
         device: torch.device,
         perceptual: Perceptual | None = None,
+        template_frame: int = 0,
     ) -> None:
+        if not any(has_anchors(model) for model in models.values()):  # nothing that could be followed
+            config = replace(config, track=replace(config.track, frame_step=0))
         self.config, self.models, self.views, self.device = config, models, views, device
         self.perceptual = perceptual.to(device) if perceptual is not None else None
         self.frames = views.frames(config.frame_step)
@@ -76,13 +83,36 @@ class Trainer:
         self.parameters = dict(_named_parameters(models))
         self.optimizer = _adam(config, models)
         self._poses: dict[int, FramePose] = {}
+        self.anchor_frames = views.frames(config.track.frame_step) if config.track.frame_step else self.frames
         for model in models.values():
-            model.fit_input(self._local_poses())
+            model.fit_input(*self._local_poses(self.anchor_frames))
+        near = np.abs(np.array(self.anchor_frames) - template_frame)
+        self.tracker = (
+            Tracker(config.track, models, views, self.anchor_frames, int(near.argmin()), self.pose)
+            if config.track.frame_step
+            else None
+        )
+
+    def warm_up(self) -> None:
+        """Learn the template's own frame, from where the garments are then followed."""
+        assert self.tracker is not None
+        frame, config = self.anchor_frames[self.tracker.start], self.config
+        warm_up(
+            self.models,
+            self.views,
+            frame,
+            self.pose(frame),
+            config.weights,
+            config.label_kind,
+            config.track.warm_up,
+            config.views_per_step,
+            config.seed,
+        )
 
     def finish(self) -> None:
         """What can only be known when training is over."""
         for model in self.models.values():
-            model.fit_mean(self._local_poses())
+            model.fit_mean(*self._local_poses(self.frames))
 
     def step(self, number: int, elapsed: float) -> StepReport:
         """Learn from one frame, `elapsed` s into the run. A step that is not finite changes nothing."""
@@ -111,10 +141,11 @@ class Trainer:
         `offsets_only` keeps the networks from anything but offsets; `cosines` (name to (N,)) are for models
         whose colours see the viewing direction.
         """
-        pose = self._pose(frame)
+        pose = self.pose(frame)
         posed = {}
         for name, model in self.models.items():
-            residual = model.residual(pose.local_transforms, cosines[name] if cosines else None)
+            cosine = cosines[name] if cosines else None
+            residual = model.residual(pose.local_transforms, cosine, pose.motion)
             if offsets_only:
                 residual = residual * _OFFSETS.to(residual)
             posed[name] = pose_layer(model.maps, model.attributes(residual), pose.transforms, pose.betas)
@@ -164,7 +195,7 @@ class Trainer:
         """Slightly disturbed viewing cosines of every layer, when the models want them."""
         if not self.config.model.view_conditioning:
             return None
-        pose, place = self._pose(choice.frame), self.views.take.camera(camera).centre
+        pose, place = self.pose(choice.frame), self.views.take.camera(camera).centre
         noise = np.random.default_rng([self.config.seed, 3, choice.step]).normal(0.0, _EYE_NOISE, 3)
         eye = torch.from_numpy(place + noise).float().to(self.device)
         return {
@@ -187,16 +218,20 @@ class Trainer:
             group["lr"] = 0.0 if group["kind"] in frozen else group["start_rate"] * rate_factor
         self.optimizer.step()
 
-    def _local_poses(self) -> list[Tensor]:
-        return [self._pose(frame).local_transforms for frame in self.frames]
+    def _local_poses(self, frames: list[int]) -> tuple[list[Tensor], list[Tensor]]:
+        """Local bone transforms and recent motion of every frame."""
+        poses = [self.pose(frame) for frame in frames]
+        return [pose.local_transforms for pose in poses], [p.motion for p in poses if p.motion is not None]
 
-    def _pose(self, frame: int) -> FramePose:
+    def pose(self, frame: int) -> FramePose:
         """The frame's pose on the device; computed once."""
         if frame not in self._poses:
             poses = self.views.poses[frame]
             arrays = (poses.rotations[0], poses.translation[0], poses.betas)
             rotations, translation, betas = (torch.from_numpy(array) for array in arrays)
-            self._poses[frame] = frame_pose(self.views.body, rotations, translation, betas).to(self.device)
+            motion = recent_motion(self.views.poses, frame, self.config.model.history)
+            pose = frame_pose(self.views.body, rotations, translation, betas, motion)
+            self._poses[frame] = pose.to(self.device)
         return self._poses[frame]
 
 

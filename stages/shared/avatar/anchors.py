@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 _BANDWIDTH = 0.5  # kernel width in units of the usual distance between neighbouring anchors
+_NARROWEST = 0.1  # in units of the usual distance
 _LEAST = 1e-3
 _FLOOR = 0.05  # weight of "no anchor": what makes offsets fade far from all
 
@@ -23,29 +24,35 @@ class AnchorOffsets(nn.Module):
 
     Arguments:
         count: K. size: (height, width) of the coarse maps. features: length of a pose's description.
+        own_widths: a kernel width for every anchor, by the distance to its nearest neighbour.
     """
 
     poses: Tensor  # (K, M) descriptions of the anchor poses
-    bandwidth: Tensor  # (1,)
+    bandwidth: Tensor  # (1,), or (K,) with own widths
 
-    def __init__(self, count: int, size: tuple[int, int], features: int) -> None:
+    def __init__(self, count: int, size: tuple[int, int], features: int, own_widths: bool = False) -> None:
         super().__init__()
         self.offsets = nn.Parameter(torch.zeros(count, 6, *size))  # m; front x y z, back x y z
         self.register_buffer("poses", torch.zeros(count, features))
-        self.register_buffer("bandwidth", torch.ones(1))
+        self.register_buffer("bandwidth", torch.ones(count if own_widths else 1))
 
     def fit(self, poses: Tensor) -> None:
-        """Choose anchors among training poses (T, M), T ≥ K: the first, then always the farthest from all."""
+        """Choose anchors among training poses (T, M), T ≥ K: the first, then always the farthest from all.
+
+        With T = K every pose is an anchor, in order, also where two are alike.
+        """
         # The exact form: the quick one loses near poses in rounding and would take one of them twice.
         distance = torch.cdist(poses, poses, compute_mode="donot_use_mm_for_euclid_dist")
         chosen = [0]
         while len(chosen) < len(self.poses):
             chosen.append(int(distance[:, chosen].min(dim=1).values.argmax()))
-        chosen.sort()
+        chosen = list(range(len(poses))) if len(poses) == len(self.poses) else sorted(chosen)
         self.poses.copy_(poses[chosen])
         between = distance[chosen][:, chosen] + torch.diag(torch.full((len(chosen),), float("inf")))
         nearest = between.min(dim=1).values if len(chosen) > 1 else torch.ones(1)
-        self.bandwidth.copy_((_BANDWIDTH * nearest.median()).clamp(min=1e-6))
+        usual = nearest.median()
+        widths = nearest.clamp(min=_NARROWEST * float(usual)) if len(self.bandwidth) > 1 else usual
+        self.bandwidth.copy_((_BANDWIDTH * widths).clamp(min=1e-6))
 
     def weights(self, pose: Tensor) -> Tensor:
         """Share (K,) of every anchor in a pose (M,); they sum to less than 1 far from all anchors."""

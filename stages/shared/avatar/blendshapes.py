@@ -124,7 +124,7 @@ class BlendshapeModel(TexelAttributes):
         shape = {name: value for name, value in config.items() if name != "blendshapes"}
         return cls.restored(shape, maps, tensors, lambda model_config: cls(maps, model_config, sizes))
 
-    def fit_input(self, poses: list[Tensor]) -> None:
+    def fit_input(self, poses: list[Tensor], motions: list[Tensor] | None = None) -> None:
         """Lay out the coefficients over training poses, each (55, 4, 4), before the bases are learned.
 
         Kernel principal components of the poses, each of unit variance over them: the bases that come first
@@ -145,10 +145,12 @@ class BlendshapeModel(TexelAttributes):
             self.coefficients.weights[: len(centres), first : first + count] = unit[:, :count]
             first += getattr(self.sizes, group)
 
-    def fit_mean(self, poses: list[Tensor]) -> None:
+    def fit_mean(self, poses: list[Tensor], motions: list[Tensor] | None = None) -> None:
         """Nothing is left to do after training: the kernel itself fades."""
 
-    def residual(self, local_transforms: Tensor, cosines: Tensor | None = None) -> Tensor:
+    def residual(
+        self, local_transforms: Tensor, cosines: Tensor | None = None, motion: Tensor | None = None
+    ) -> Tensor:
         """Pose-dependent part (N, 14); see `TexelAttributes.residual`."""
         values = self.coefficients(local_transforms).split([getattr(self.sizes, group) for group in GROUPS])
         parts = [getattr(self, f"basis_{group}") @ part for group, part in zip(GROUPS, values, strict=True)]

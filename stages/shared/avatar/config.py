@@ -22,7 +22,9 @@ class ModelConfig:
             departure (`LayerModel.fit_input`), instead of positions in metres.
         anchors: poses whose offsets are learned freely and blended by likeness, for garments (the body
             follows its bones); 0 for none. At most the number of training frames. anchor_cell: texels per
-            cell of their coarse maps.
+            cell of their coarse maps. anchor_widths: "shared", one kernel width for all anchors, or "own", as
+            the poses around each are near or far. history: memories of recent motion by which anchors tell
+            poses apart (`stages/shared/avatar/motion.py`); 0 for the pose alone.
         pose_prior: directions of the PCA of positional maps on which poses unlike the training's are
             projected for the networks (`stages/shared/avatar/pose_prior.py`); 0 for none. pose_sigma:
             standard deviations that such a pose may depart along each.
@@ -43,6 +45,8 @@ class ModelConfig:
     normalise: bool = True
     anchors: int = 0
     anchor_cell: int = 4
+    anchor_widths: str = "shared"
+    history: int = 0
     pose_prior: int = 0
     pose_sigma: float = 2.0
     base: bool = True

@@ -16,6 +16,7 @@ from torch import Tensor, nn
 from stages.shared.avatar.anchors import AnchorOffsets, sampled_maps
 from stages.shared.avatar.config import ModelConfig
 from stages.shared.avatar.maps import LayerMaps
+from stages.shared.avatar.motion import RATES, UP, motion_length
 from stages.shared.avatar.pose_prior import PosePrior
 from stages.shared.avatar.positional import CosineMaps, PositionalMaps, network_grid
 from stages.shared.avatar.texel_attributes import TexelAttributes
@@ -24,6 +25,8 @@ from stages.shared.nets.styleunet import StyleUNet, ViewNet
 _USUAL_DEPARTURE = 0.05  # m, between poses, where the input is not normalised
 _BODY_JOINTS = 22  # without face and fingers
 _ROTATION_SHARE = 0.3 / (0.2 * math.sqrt(9 * _BODY_JOINTS))  # matrix entries usually differ by 0.2
+_MOTION_SHARE = 0.5  # usual difference of each memory of recent motion
+_LEAST_MOTION = 0.01  # m/s and rad/s; less is noise
 _LEAST_DEPARTURE = 0.01  # m; less is noise, not motion
 
 
@@ -39,6 +42,7 @@ class LayerModel(TexelAttributes):
     input_scale: Tensor  # (1,) m
     mean_residual: Tensor  # (N, 14), with anchors
     fading: Tensor  # (1,), with anchors
+    motion_scale: Tensor  # (H,), with history
 
     def __init__(self, maps: LayerMaps, config: ModelConfig | None = None, seed: int = 0) -> None:
         config = config or ModelConfig()
@@ -69,7 +73,11 @@ class LayerModel(TexelAttributes):
         if config.anchors > 0 and maps.layer != "body":
             size = tuple(math.ceil(s * config.factor / config.anchor_cell) for s in (grid.height, grid.width))
             described = self.positional.channels * len(self.positional.used) + 9 * _BODY_JOINTS
-            self.anchors = AnchorOffsets(config.anchors, size, described)  # type: ignore[arg-type]
+            described += motion_length(config.history)
+            if config.history:
+                self.register_buffer("motion_scale", torch.ones(motion_length(config.history)))
+            own = config.anchor_widths == "own"
+            self.anchors = AnchorOffsets(config.anchors, size, described, own)  # type: ignore[arg-type]
             # What `fit_mean` finds after training; until then nothing fades.
             self.register_buffer("mean_residual", maps.positions.new_zeros(len(maps), 14))
             self.register_buffer("fading", torch.zeros(1))
@@ -87,7 +95,7 @@ class LayerModel(TexelAttributes):
         """
         return cls.restored(config, maps, tensors, lambda model_config: cls(maps, model_config))
 
-    def fit_input(self, poses: list[Tensor]) -> None:
+    def fit_input(self, poses: list[Tensor], motions: list[Tensor] | None = None) -> None:
         """Look at the training poses, each (55, 4, 4) as in `residual`, before training starts.
 
         With `normalise`, the mean of the input is taken per pixel and its scale as one number, so that still
@@ -103,13 +111,17 @@ class LayerModel(TexelAttributes):
             self.input_scale.copy_(departure.square().mean().sqrt().clamp(min=_LEAST_DEPARTURE))
         if self.anchors is not None:
             seen = (images - self.input_mean) / self.input_scale
+            if self.model_config.history and motions:
+                self.motion_scale.copy_(_motion_scale(torch.stack(motions)))
+            still: list[None] = [None] * len(poses)
             described = [
-                self._description(image[None], pose) for image, pose in zip(seen, poses, strict=True)
+                self._description(image[None], pose, motion)
+                for image, pose, motion in zip(seen, poses, motions or still, strict=True)
             ]
             self.anchors.fit(torch.stack(described))
 
     @torch.no_grad()
-    def fit_mean(self, poses: list[Tensor]) -> None:
+    def fit_mean(self, poses: list[Tensor], motions: list[Tensor] | None = None) -> None:
         """Let poses unlike every anchor fade to the mean residual of training poses, each (55, 4, 4).
 
         What a network answers far from what it was trained with is a guess; the mean is a safer one. Call it
@@ -118,7 +130,7 @@ class LayerModel(TexelAttributes):
         if not poses:
             return
         if self.anchors is not None:
-            self._fit_fading(poses)
+            self._fit_fading(poses, motions)
         if self.prior is not None:
             self.prior.fit(torch.stack([self._seen(self.positional(pose)) for pose in poses]))
 
@@ -127,23 +139,31 @@ class LayerModel(TexelAttributes):
         """Whether a pose (55, 4, 4) is outside the training's, so that the networks see its projection."""
         return self.prior is not None and self.prior.outside(self._seen(self.positional(local_transforms)))
 
-    def _fit_fading(self, poses: list[Tensor]) -> None:
+    def _fit_fading(self, poses: list[Tensor], motions: list[Tensor] | None) -> None:
         self.fading.zero_()
         total = torch.zeros_like(self.mean_residual)
-        for pose in poses:
-            total += self.residual(pose)
+        still: list[None] = [None] * len(poses)
+        for pose, motion in zip(poses, motions or still, strict=True):
+            total += self.residual(pose, motion=motion)
         self.mean_residual.copy_(total / len(poses))
         self.fading.fill_(1.0)
 
-    def residual(self, local_transforms: Tensor, cosines: Tensor | None = None) -> Tensor:
+    def residual(
+        self, local_transforms: Tensor, cosines: Tensor | None = None, motion: Tensor | None = None
+    ) -> Tensor:
         """Pose-dependent part (N, 14) of the channels above, raw network output.
 
         `local_transforms` (55, 4, 4): pose without shape and root. `cosines` (N,): normal · viewing direction
         of every texel, used only with view conditioning (without it the colour network sees no view feature).
+        `motion` (M,): `recent_motion`, used only with history; None for a still pose.
         """
-        image = (self._input(local_transforms) - self.input_mean) / self.input_scale
+        raw = self.positional(local_transforms)
+        image = (self._input(raw) - self.input_mean) / self.input_scale
+        seen = (raw - self.input_mean) / self.input_scale
         if self.model_config.heads == "joint":
-            return self._with_anchors(self._sampled(self.networks[0](image)[0]), image, local_transforms)
+            return self._with_anchors(
+                self._sampled(self.networks[0](image)[0]), seen, local_transforms, motion
+            )
         features = None
         if self.view_net is not None and self.cosines is not None and cosines is not None:
             front, back = self.view_net(self.cosines(cosines))
@@ -152,11 +172,10 @@ class LayerModel(TexelAttributes):
         offset = self._sampled(self.networks[1](image)[0])
         other = self._sampled(self.networks[2](image)[0])
         joined = torch.cat((offset, other[:, 4:8], other[:, 0:1], other[:, 1:4], color), dim=1)
-        return self._with_anchors(joined, image, local_transforms)
+        return self._with_anchors(joined, seen, local_transforms, motion)
 
-    def _input(self, local_transforms: Tensor) -> Tensor:
+    def _input(self, image: Tensor) -> Tensor:
         """The positional map of a pose, or of the nearest one that the training would explain."""
-        image = self.positional(local_transforms)
         if self.prior is None or not bool(self.prior.limit > 0):
             return image
         known = self.prior(self._seen(image)).view(*image.shape[:2], -1)
@@ -170,25 +189,45 @@ class LayerModel(TexelAttributes):
         """Maps (2, C, h, w) of the window at every texel (N, C)."""
         return sampled_maps(images, self.sample_points, self._view_counts)
 
-    def _with_anchors(self, residual: Tensor, image: Tensor, local_transforms: Tensor) -> Tensor:
+    def _with_anchors(
+        self, residual: Tensor, image: Tensor, local_transforms: Tensor, motion: Tensor | None
+    ) -> Tensor:
         """Add the anchors' offsets for a pose to a residual (N, 14), and fade where no anchor is near."""
         if self.anchors is None:
             return residual
-        description = self._description(image, local_transforms)
+        description = self._description(image, local_transforms, motion)
         offsets = self._sampled(self.anchors(description)) / self.model_config.offset_scale
         residual = torch.cat((residual[:, :3] + offsets, residual[:, 3:]), dim=1)
         share = 1.0 - self.fading * (1.0 - self.anchors.familiarity(description))
         return torch.lerp(self.mean_residual, residual, share)
 
-    def _description(self, image: Tensor, local_transforms: Tensor) -> Tensor:
-        """What tells poses apart, (M + 198,): the input image where there are texels, and joint rotations.
+    def _description(self, image: Tensor, local_transforms: Tensor, motion: Tensor | None) -> Tensor:
+        """What tells poses apart, (M + 198 + H,): the input image where there are texels, joint rotations,
+        and with history the recent motion.
 
-        Both parts are scaled so that a usual difference between poses is about 1, and 0.3 for the rotations.
+        Parts are scaled so that a usual difference between poses is about 1, and 0.3 for the rotations.
         """
         seen = image[0].flatten(start_dim=1)[:, self.positional.used].flatten()
         turned = local_transforms[:_BODY_JOINTS, :3, :3].flatten()
         usual = 1.0 if self.model_config.normalise else _USUAL_DEPARTURE
-        return torch.cat((seen / (usual * math.sqrt(max(len(seen), 1))), turned * _ROTATION_SHARE))
+        parts = [seen / (usual * math.sqrt(max(len(seen), 1))), turned * _ROTATION_SHARE]
+        if self.model_config.history:
+            moving = self.motion_scale * 0.0 if motion is None else motion * self.motion_scale
+            parts.append(moving)
+        return torch.cat(parts)
+
+
+def _motion_scale(motions: Tensor) -> Tensor:
+    """(H,) factors that make every memory's usual difference `_MOTION_SHARE`; up stays as it is.
+
+    Arguments:
+        motions: (T, H) of the training poses.
+    """
+    scale = torch.ones(motions.shape[1])
+    memories = motions[:, UP:].reshape(len(motions), -1, RATES)
+    spread = (memories - memories.mean(dim=0)).square().sum(dim=2).mean(dim=0).sqrt()
+    scale[UP:] = (_MOTION_SHARE / spread.clamp(min=_LEAST_MOTION)).repeat_interleave(RATES)
+    return scale
 
 
 def _sample_points(maps: LayerMaps, grid: Any) -> Tensor:

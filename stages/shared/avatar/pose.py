@@ -19,18 +19,25 @@ class FramePose:
             world.
         local_transforms: (55, 4, 4) the same pose with zero shape and without root rotation and translation.
         betas: (10,) shape.
+        motion: (M,) what `recent_motion` says of the frames before; None for a still pose.
     """
 
     transforms: Tensor
     local_transforms: Tensor
     betas: Tensor
+    motion: Tensor | None = None
 
     def to(self, device: torch.device | str) -> FramePose:
         """The same pose on `device`."""
-        return FramePose(self.transforms.to(device), self.local_transforms.to(device), self.betas.to(device))
+        motion = None if self.motion is None else self.motion.to(device)
+        return FramePose(
+            self.transforms.to(device), self.local_transforms.to(device), self.betas.to(device), motion
+        )
 
 
-def frame_pose(body: BodyModel, rotations: Tensor, translation: Tensor, betas: Tensor) -> FramePose:
+def frame_pose(
+    body: BodyModel, rotations: Tensor, translation: Tensor, betas: Tensor, motion: Tensor | None = None
+) -> FramePose:
     """Pose from joint rotations (55, 3) axis-angle rad, root translation (3,) m and shape (10,).
 
     Leading axes of rotations and translation are kept: many moments at once.
@@ -42,4 +49,5 @@ def frame_pose(body: BodyModel, rotations: Tensor, translation: Tensor, betas: T
         transforms=posed_from_canonical(body, rotations, translation, betas),
         local_transforms=posed_from_canonical(body, local, zero, torch.zeros_like(betas)),
         betas=betas,
+        motion=motion,
     )

@@ -96,11 +96,13 @@ class TexelAttributes(nn.Module):
         return {name: getattr(self, f"base_{name}") for name in CHANNELS}
 
     @abstractmethod
-    def residual(self, local_transforms: Tensor, cosines: Tensor | None = None) -> Tensor:
+    def residual(
+        self, local_transforms: Tensor, cosines: Tensor | None = None, motion: Tensor | None = None
+    ) -> Tensor:
         """Pose-dependent part (N, 14) of the channels above.
 
         `local_transforms` (55, 4, 4): pose without shape and root. `cosines` (N,): normal · viewing direction
-        of every texel, used only with view conditioning.
+        of every texel, used only with view conditioning. `motion`: `recent_motion`, None for a still pose.
         """
 
     def attributes(self, residual: Tensor) -> Attributes:
@@ -120,9 +122,11 @@ class TexelAttributes(nn.Module):
             colors=torch.sigmoid(color) if config.color == "sigmoid" else color,
         )
 
-    def forward(self, local_transforms: Tensor, cosines: Tensor | None = None) -> Attributes:
+    def forward(
+        self, local_transforms: Tensor, cosines: Tensor | None = None, motion: Tensor | None = None
+    ) -> Attributes:
         """Attributes in a pose; arguments as in `residual`."""
-        return self.attributes(self.residual(local_transforms, cosines))
+        return self.attributes(self.residual(local_transforms, cosines, motion))
 
 
 def _start(maps: LayerMaps, config: ModelConfig) -> dict[str, Tensor]:

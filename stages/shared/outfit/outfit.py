@@ -14,6 +14,7 @@ from stages.shared.artifacts.bundle import Bundle
 from stages.shared.avatar.compose import Composite, compose, relabelled
 from stages.shared.avatar.deform import PosedGaussians, pose_layer
 from stages.shared.avatar.model import LayerModel
+from stages.shared.avatar.motion import recent_motion
 from stages.shared.avatar.pose import frame_pose
 from stages.shared.body import BodyModel, Poses
 from stages.shared.capture.labels import LAYERS
@@ -67,7 +68,9 @@ class Outfit:
         posed: dict[str, PosedGaussians] = {}
         pushes = {push.garment: push for push in self.pushes}
         for layer in self.layers:
-            attributes = layer.model(pose.local_transforms)
+            history = layer.model.model_config.history
+            motion = recent_motion(poses, frame, history) if history else None
+            attributes = layer.model(pose.local_transforms, motion=motion)
             if layer.name == "body":
                 attributes = swapped(restored(attributes, self.restoration), list(self.swaps))
             posed[layer.name] = pose_layer(layer.maps, attributes, pose.transforms, pose.betas)

@@ -68,3 +68,19 @@ def test_equal_poses_do_not_break_the_bandwidth() -> None:
     anchors = AnchorOffsets(2, (2, 3), 3)
     anchors.fit(torch.zeros(4, 3))
     assert torch.isfinite(anchors.weights(torch.zeros(3))).all()
+
+
+def test_poses_that_are_all_anchors_stay_in_order_though_two_are_alike() -> None:
+    poses = _line(4)[[0, 0, 1, 3]]
+    for own in (False, True):
+        anchors = AnchorOffsets(4, (2, 3), 3, own)
+        anchors.fit(poses)
+        assert torch.equal(anchors.poses, poses) and bool((anchors.bandwidth > 0).all())
+
+
+def test_own_widths_keep_near_poses_apart_and_let_lonely_ones_reach_far() -> None:
+    poses = torch.tensor([[0.0], [0.1], [5.0], [7.0]])
+    anchors = AnchorOffsets(4, (2, 3), 1, own_widths=True)
+    anchors.fit(poses)
+    assert all(anchors.weights(poses[index])[index] > 0.7 for index in range(4))
+    assert anchors.weights(torch.tensor([4.4]))[2] > 0.7

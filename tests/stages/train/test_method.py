@@ -134,7 +134,7 @@ def test_baselines_train_and_are_worn(method: str, tmp_path: Path) -> None:
 
 
 def test_every_part_switches_something_off_and_nothing_else() -> None:
-    full = replace(PRESETS["draft"], weights=replace(PRESETS["draft"].weights, seam=1.0))
+    full = replace(PRESETS["draft"], weights=replace(PRESETS["draft"].weights, seam=1.0))  # every term on
     terms = {field.name for field in fields(LossWeights)}
     gone: set[str] = set()
     for name in PARTS:

@@ -1,0 +1,135 @@
+"""Where the texels of a render should go so that it becomes the picture: dense flow, as linear equations.
+
+Stripes and plain cloth tell how far they moved across their gradient, not along it: every flow vector counts
+in the metric of the picture's structure tensor, so that the solution is free where the picture says nothing
+(Lucas and Kanade 1981; Förstner's structure tensor).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor
+
+from stages.shared.capture import Camera
+
+Floats = NDArray[np.float64]
+_SMALLEST = 32  # px; DIS needs some room for its patches
+_LUMA = np.array([0.299, 0.587, 0.114], dtype=np.float32)
+_TEXTURE = 0.6  # share of the grey levels for texture; labels take the rest
+_WINDOW = 1.5  # px, of the structure tensor
+_NOISE = 30.0  # (grey levels per pixel)², gradients below say little
+_RETURN = 2.0  # px², how far flow may come back from where it started
+_LARGE = 64.0  # px²; larger flow counts less
+_DEPTH_TOLERANCE = 0.02  # m
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Flow from a render to a picture: flow (H·W, 2) px; trust (H·W,) 0..1; tensor (H·W, 3) xx, xy, yy, trace
+    at most 1.
+    """
+
+    flow: Floats
+    trust: Floats
+    tensor: Floats
+
+
+def grey_picture(color: Tensor, labels: Tensor) -> NDArray[np.uint8]:
+    """(H, W) u8: texture (H, W, 3), and one-hot labels (H, W, L) as plateaus of their own, black outside."""
+    count = labels.shape[2]
+    levels = np.linspace(1.0 / count, 1.0, count, dtype=np.float32)
+    grey = _TEXTURE * (color.cpu().numpy() @ _LUMA) + (1 - _TEXTURE) * (labels.cpu().numpy() @ levels)
+    return np.ascontiguousarray((np.clip(grey, 0.0, 1.0) * 255).astype(np.uint8))
+
+
+def motion(source: NDArray[np.uint8], target: NDArray[np.uint8], fine: bool) -> Motion | None:
+    """Flow from `source` to `target`, both (H, W); `fine` down to single pixels. None for tiny pictures."""
+    height, width = source.shape
+    if min(height, width) < _SMALLEST:
+        return None
+    method = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    method.setFinestScale(0 if fine else 1)
+    method.setPatchStride(4 if fine else 3)
+    forward = method.calc(source, target, np.zeros((height, width, 2), np.float32))
+    backward = method.calc(target, source, np.zeros((height, width, 2), np.float32))
+    columns, rows = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
+    back = cv2.remap(backward, columns + forward[..., 0], rows + forward[..., 1], cv2.INTER_LINEAR)
+    trust = np.exp(-np.square(forward + back).sum(axis=2) / _RETURN)
+    trust = trust / (1.0 + np.square(forward).sum(axis=2) / _LARGE)
+    across, down = (cv2.Sobel(source, cv2.CV_32F, *axis) / 8 for axis in ((1, 0), (0, 1)))
+    products = (across * across, across * down, down * down)
+    tensor = np.stack([cv2.GaussianBlur(part, (0, 0), _WINDOW) for part in products], axis=2)
+    tensor = tensor / (tensor[..., :1] + tensor[..., 2:] + _NOISE)
+    return Motion(
+        forward.reshape(-1, 2).astype(np.float64),
+        trust.reshape(-1).astype(np.float64),
+        tensor.reshape(-1, 3).astype(np.float64),
+    )
+
+
+@dataclass(frozen=True)
+class Equations:
+    """Normal equations of every texel's canonical displacement: matrix (N, 3, 3) and right side (N, 3), in px
+    and metres × `per_metre`.
+    """
+
+    matrix: Floats
+    right: Floats
+
+    @classmethod
+    def none(cls, count: int) -> Equations:
+        """Nothing known yet of `count` texels."""
+        return cls(np.zeros((count, 3, 3)), np.zeros((count, 3)))
+
+    def add(
+        self,
+        means: Floats,
+        carried: Floats,
+        camera: Camera,
+        depth: Floats,
+        own: NDArray[np.bool_],
+        wanted: NDArray[np.bool_],
+        seen: Motion,
+        per_metre: float,
+    ) -> None:
+        """Add what one camera saw.
+
+        Arguments:
+            means: (N, 3) m, world. carried: (N, 3, 3) world from canonical directions.
+            depth: (H, W) m of the render. own, wanted: (H, W) where render and picture show the layer.
+        """
+        height, width = depth.shape
+        turn, focal = camera.camera_from_world[:3, :3], camera.intrinsics.diagonal()[:2]
+        at = means @ turn.T + camera.camera_from_world[:3, 3]
+        distance = np.maximum(at[:, 2], 1e-3)
+        pixels = at[:, :2] / distance[:, None] * focal + camera.intrinsics[:2, 2]
+        index, inside = _pixel_index(pixels, width, height)
+        visible = inside & (at[:, 2] > 1e-3) & own.reshape(-1)[index]
+        visible &= np.abs(depth.reshape(-1)[index] - distance) < _DEPTH_TOLERANCE
+        chosen = np.nonzero(visible)[0]
+        pixel = index[chosen]
+        flow = seen.flow[pixel]
+        goal, there = _pixel_index(pixels[chosen] + flow, width, height)
+        trust = seen.trust[pixel] * (there & wanted.reshape(-1)[goal])
+        xx, xy, yy = (seen.tensor[pixel] * trust[:, None]).T
+        metric = np.stack((xx, xy, xy, yy), axis=1).reshape(-1, 2, 2)
+        z = distance[chosen]
+        slope = np.zeros((len(chosen), 2, 3))
+        slope[:, 0, 0], slope[:, 1, 1] = focal[0] / z, focal[1] / z
+        slope[:, :, 2] = -focal * at[chosen, :2] / np.square(z)[:, None]
+        slope = slope @ (turn @ carried[chosen]) / per_metre
+        weighted = metric @ slope
+        self.matrix[chosen] += slope.transpose(0, 2, 1) @ weighted
+        self.right[chosen] += (flow[:, None] @ weighted)[:, 0]
+
+
+def _pixel_index(pixels: Floats, width: int, height: int) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Index into a flattened picture of every position (N, 2), 0 outside, and whether it is inside."""
+    with np.errstate(invalid="ignore"):
+        column, row = np.floor(np.clip(pixels, -2, 1e6)).astype(np.int64).T
+    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    return np.where(inside, row * width + column, 0), inside

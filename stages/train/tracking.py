@@ -1,0 +1,208 @@
+"""Bring the geometry home before the texture is asked to match: follow the cloth through the take.
+
+First the texels learn what the template's own frame looks like; there the geometry is right. Then the
+garments are followed from frame to frame: render, dense flow to the pictures of all cameras, and one sparse
+linear system for the offsets of the frame's anchor (Gauss-Newton), a few times per frame. Between frames
+cloth moves by a few pixels where between poses it moves by centimetres, so that stripes are not mistaken for
+their neighbours.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from stages.shared.avatar.anchors import AnchorOffsets
+from stages.shared.avatar.compose import Composite, compose
+from stages.shared.avatar.decoder import AvatarModel
+from stages.shared.avatar.deform import blended, pose_layer
+from stages.shared.avatar.pose import FramePose
+from stages.train.cells import Cells
+from stages.train.config import TrackConfig
+from stages.train.data import TrainingViews, View
+from stages.train.displacement import Equations, grey_picture, motion
+from stages.train.objective import render
+
+Floats = NDArray[np.float64]
+_PER_METRE = 220.0  # px; only the unit of the solution, which the smoothness weights refer to
+_SOLVER_STEPS = 60
+_KEPT = 0.9  # share of the last frame's shape that smoothness takes as rest
+_FOLLOWING = 0.5  # share of the last frame's motion that is expected to go on
+
+
+@dataclass(frozen=True)
+class _Tracked:
+    """One layer that is followed."""
+
+    model: AvatarModel
+    anchors: AnchorOffsets
+    cells: Cells
+
+
+class Tracker:
+    """Fills the anchors of garments, frame by frame.
+
+    Arguments:
+        models: name to model, inner to outer; those with anchors are followed, one anchor per frame of
+            `frames` in order. views: training pictures. frames: numbers. start: index into `frames` where the
+            geometry is right. poses: frame number to pose.
+    """
+
+    def __init__(
+        self,
+        config: TrackConfig,
+        models: dict[str, AvatarModel],
+        views: TrainingViews,
+        frames: list[int],
+        start: int,
+        poses: Any,
+    ) -> None:
+        self.config, self.models, self.views, self.frames, self.poses = config, models, views, frames, poses
+        self.order = [*range(start, len(frames)), *range(start - 1, -1, -1)]
+        self.start = start
+        self.tracked = {name: _tracked(model) for name, model in models.items() if has_anchors(model)}
+
+    @torch.no_grad()
+    def follow(self, place: int) -> None:
+        """Find the offsets of the `place`-th frame of `order`; those before it must have been found."""
+        index = self.order[place]
+        frame = self.frames[index]
+        back = -1 if index > self.start else 1
+        resting = {
+            name: _offsets(layer, index + back if place else None) for name, layer in self.tracked.items()
+        }
+        found = dict(resting)
+        if place and self.start not in (index, index + back):
+            for name, layer in self.tracked.items():
+                before = _offsets(layer, index + 2 * back)
+                found[name] = resting[name] + _FOLLOWING * (resting[name] - before)
+        pose = self.poses(frame)
+        views = [self.views.view(frame, camera) for camera in self.views.take.training_cameras]
+        rounds = self.config.rounds
+        for turn in range(rounds):
+            change = self._solve(pose, views, found, resting, fine=turn == rounds - 1)
+            found = {name: found[name] + change[name] for name in found}
+        for name, layer in self.tracked.items():
+            self._store(layer, index, found[name])
+
+    def _solve(
+        self,
+        pose: FramePose,
+        views: list[View],
+        found: dict[str, Floats],
+        resting: dict[str, Floats],
+        fine: bool,
+    ) -> dict[str, Floats]:
+        """One Gauss-Newton step: change of every layer's cells (M, 3) m."""
+        composite, places = self._composite(pose, found)
+        carried = {
+            name: blended(layer.model.maps.skin_weights, pose.transforms)[:, :, :3].double().cpu().numpy()
+            for name, layer in self.tracked.items()
+        }
+        equations = {name: Equations.none(len(layer.model.maps)) for name, layer in self.tracked.items()}
+        means = composite.means.double().cpu().numpy()
+        for view in views:
+            picture = render(composite, view.camera)
+            truth = grey_picture(view.image * view.inside[..., None], view.labels)
+            seen = motion(grey_picture(picture.color, picture.labels), truth, fine)
+            if seen is None:
+                continue
+            depth = picture.depth.double().cpu().numpy()
+            for name in self.tracked:
+                channel = composite.layers.index(name)
+                equations[name].add(
+                    means[places[name]],
+                    carried[name],
+                    view.camera,
+                    depth,
+                    picture.labels[..., channel].cpu().numpy() > 0.5,
+                    view.labels[..., channel].numpy() > 0.5,
+                    seen,
+                    _PER_METRE,
+                )
+        return {
+            name: self._step(layer.cells, equations[name], found[name], resting[name])
+            for name, layer in self.tracked.items()
+        }
+
+    def _composite(self, pose: FramePose, found: dict[str, Floats]) -> tuple[Composite, dict[str, slice]]:
+        """All layers in a pose with these offsets, and which Gaussians are whose."""
+        posed, places, first = {}, {}, 0
+        for name, model in self.models.items():
+            attributes = model.attributes(model.base_color.new_zeros(len(model.maps), 14))
+            if name in found:
+                moved = torch.from_numpy(self.tracked[name].cells.basis @ found[name]).to(attributes.offsets)
+                attributes = replace(attributes, offsets=attributes.offsets + moved)
+            posed[name] = pose_layer(model.maps, attributes, pose.transforms, pose.betas)
+            places[name] = slice(first, first + len(model.maps))
+            first += len(model.maps)
+        return compose(posed), places
+
+    def _step(self, cells: Cells, equations: Equations, found: Floats, resting: Floats) -> Floats:
+        """Solve data and smoothness for the change: cells stay near `resting` where nothing was seen."""
+        config = self.config
+
+        def applied(change: Floats) -> Floats:
+            pulled = np.einsum("nab,nb->na", equations.matrix, cells.basis @ change)
+            return np.asarray(cells.basis.T @ pulled + smoothness(change) + config.inertia * change)
+
+        def smoothness(values: Floats) -> Floats:
+            return np.asarray(
+                config.bending * (cells.bending @ values) + config.stretch * (cells.stretch @ values)
+            )
+
+        moved = (found - resting) * _PER_METRE
+        right = cells.basis.T @ equations.right - config.inertia * moved
+        right -= smoothness(found * _PER_METRE - _KEPT * resting * _PER_METRE)
+        return conjugate_gradients(applied, right, _SOLVER_STEPS) / _PER_METRE
+
+    def _store(self, layer: _Tracked, index: int, found: Floats) -> None:
+        """Write cells (M, 3) into the anchor's maps (2·3, h, w)."""
+        target = layer.anchors.offsets.data[index].view(2, 3, -1)
+        height_width = target.shape[2]
+        side, cell = np.divmod(layer.cells.where, height_width)
+        target[torch.from_numpy(side).to(target.device), :, torch.from_numpy(cell).to(target.device)] = (
+            torch.from_numpy(found).to(target)
+        )
+
+
+def has_anchors(model: AvatarModel) -> bool:
+    """Whether a model's garments can be followed."""
+    return getattr(model, "anchors", None) is not None
+
+
+def conjugate_gradients(applied: Any, right: Floats, steps: int) -> Floats:
+    """Solve A x = right (M, 3) for a symmetric positive A given as a function, from zero."""
+    found = np.zeros_like(right)
+    rest, along = right.copy(), right.copy()
+    size = first = float((rest * rest).sum())
+    for _ in range(steps):
+        if size <= 1e-10 * first or size == 0.0:
+            break
+        image = applied(along)
+        length = size / float((along * image).sum())
+        found += length * along
+        rest -= length * image
+        smaller = float((rest * rest).sum())
+        along = rest + smaller / size * along
+        size = smaller
+    return found
+
+
+def _tracked(model: Any) -> _Tracked:
+    size = tuple(model.anchors.offsets.shape[2:])
+    return _Tracked(model, model.anchors, Cells.of(model.maps, model.sample_points, size))
+
+
+def _offsets(layer: _Tracked, index: int | None) -> Floats:
+    """Cells (M, 3) m of an anchor; zero for None."""
+    if index is None:
+        return np.zeros((len(layer.cells.where), 3))
+    maps = layer.anchors.offsets.data[index].double().cpu().numpy()  # (6, h, w)
+    maps = maps.reshape(2, 3, -1)
+    side, cell = np.divmod(layer.cells.where, maps.shape[2])
+    return np.asarray(maps[side, :, cell])

@@ -1,0 +1,72 @@
+"""Before all else the texels learn the template's own frame, where the geometry is known to be right."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+
+from stages.shared.avatar.compose import compose
+from stages.shared.avatar.decoder import AvatarModel
+from stages.shared.avatar.deform import pose_layer
+from stages.shared.avatar.pose import FramePose
+from stages.train.config import LearningRates, LossWeights
+from stages.train.data import TrainingViews
+from stages.train.objective import picture_terms, weighted
+
+_RATES = LearningRates(offset=1e-4, quaternion=1e-2, opacity=5e-2, scale=2e-2, color=5e-2)
+_RATE_END = 0.1
+_ADAM_EPSILON = 1e-15
+
+
+def warm_up(
+    models: dict[str, AvatarModel],
+    views: TrainingViews,
+    frame: int,
+    pose: FramePose,
+    weights: LossWeights,
+    label_kind: str,
+    steps: int,
+    views_per_step: int,
+    seed: int,
+) -> None:
+    """Fit the free attributes of all layers to one frame, without what depends on the pose.
+
+    Discs of projected colours are blurred and a little too large; after some dozen steps with large rates
+    they look like the frame. `weights`: of the picture terms; flow and LPIPS are not used.
+    """
+    free = [(name, p) for model in models.values() for name, p in model.base_parameters().items()]
+    if not free or steps <= 0:
+        return
+    groups = [{"params": [parameter], "start_rate": getattr(_RATES, name)} for name, parameter in free]
+    optimizer = torch.optim.Adam(groups, lr=1.0, eps=_ADAM_EPSILON)
+    weights = LossWeights(**{**vars(weights), "flow": 0.0})
+    generator = np.random.default_rng([seed, 4])
+    cameras = list(views.take.training_cameras)
+    for step in range(steps):
+        factor = _RATE_END + (1 - _RATE_END) * 0.5 * (1 + math.cos(math.pi * step / steps))
+        for group in optimizer.param_groups:
+            group["lr"] = group["start_rate"] * factor
+        optimizer.zero_grad(set_to_none=True)
+        chosen = generator.permutation(len(cameras))[:views_per_step]
+        posed = {
+            name: pose_layer(
+                model.maps,
+                model.attributes(model.base_color.new_zeros(len(model.maps), 14)),
+                pose.transforms,
+                pose.betas,
+            )
+            for name, model in models.items()
+        }
+        composite = compose(posed)
+        losses = []
+        for number in chosen:
+            view = views.view(frame, cameras[number]).to(composite.means.device)
+            behind = torch.from_numpy(generator.random(3).astype(np.float32)).to(composite.means)
+            terms = picture_terms(composite, view, behind, weights, label_kind)
+            losses.append(weighted(terms, weights))
+        torch.stack(losses).mean().backward()
+        gradients = [parameter.grad for _, parameter in free if parameter.grad is not None]
+        if all(bool(torch.isfinite(gradient).all()) for gradient in gradients):
+            optimizer.step()

@@ -15,7 +15,7 @@ CAPTURE ?=
 SUBJECT ?=
 STAGE_FLAGS ?=
 
-.PHONY: help setup demo test test-long check format subject register-template canonicalize segment-layers bake-maps train evaluate status clean
+.PHONY: help setup demo test test-long check docs release-check format subject register-template canonicalize segment-layers bake-maps train evaluate status clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 20
@@ -40,6 +40,13 @@ check: $(READY) ## format, lint, types
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/mypy
+
+docs: $(READY) ## make the generated pages of docs/ again
+	$(VENV)/bin/python -m gw_cli.reference docs/commands.md
+	$(GW) bench stability -o build/stability && cp build/stability/stability.md docs/stability.md
+
+release-check: $(READY) ## build wheel and source archive, install into an empty environment, use it outside
+	$(VENV)/bin/python -m pytest tests/release -m "long or not long" --timeout 3600
 
 format: $(READY) ## rewrite the sources in the project's format
 	$(VENV)/bin/ruff format .

@@ -74,5 +74,5 @@ def test_subjects_and_bundles(folder: Path, monkeypatch: pytest.MonkeyPatch) -> 
 def test_bash_is_offered_them(folder: Path) -> None:
     assert shell(folder, "train", "anna", "--preset", "b") == ["balanced"]
     assert shell(folder, "export-garment", "anna", "--layer", "") == ["body", "lower"]
-    assert shell(folder, "canonicalize", "an") == ["anna"]
+    assert shell(folder, "segment-layers", "an") == ["anna"]
     assert "train" in shell(folder, "tr")

@@ -139,6 +139,9 @@ def _exchange(config: DemoConfig) -> list[DemoStep]:
             ("subject_2", "upper", "shirt"),
             ("subject_2", "outer", "vest"),
             ("subject_2", "body", "body_2"),
+            ("subject_1", "body", "body_1"),
+            ("subject_1", "upper", "top"),
+            ("subject_2", "lower", "trousers"),
         )
     ]
     outfit = tuple(f"wardrobe/{name}.gwg" for name in ("body_2", "shirt", "vest", "skirt"))
@@ -151,6 +154,13 @@ def _exchange(config: DemoConfig) -> list[DemoStep]:
             ("tryon", *outfit, *motion, "-o", "tryon", "--preset", config.preset),
             ("tryon/result.json",),
             ("tryon/*.mp4", "tryon/*.webm", "tryon/contact_sheet.png"),
+        ),
+        DemoStep(
+            "wardrobe",
+            "Both bodies in every set of the five garments that go together, from the front and the back.",
+            ("wardrobe", "outfits", "wardrobe", *motion, "-o", "outfits"),
+            ("outfits/outfits.json",),
+            ("outfits/outfits.png",),
         ),
         DemoStep(
             "render",

@@ -113,10 +113,10 @@ def _shots(outfit: Outfit, poses_path: Path | None, config: OutfitsConfig) -> li
     composite = outfit.composite(poses, frame)
     means = composite.means.double().numpy()
     low, high = means.min(axis=0) - _MARGIN, means.max(axis=0) + _MARGIN
-    reach = float(np.linalg.norm((high - low)[[0, 2]])) / 2
-    half = (reach, float(high[1] - low[1]) / 2, reach)
-    size = (config.width, config.height)
     facing = float(np.arctan2(*_forward(poses, frame)))
+    across = np.abs((means - (low + high) / 2) @ np.array([np.cos(facing), 0, -np.sin(facing)])).max()
+    half = (float(across) + _MARGIN, float(high[1] - low[1]) / 2, 0.3)
+    size = (config.width, config.height)
     return [
         take_picture(
             composite,

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -44,13 +45,14 @@ class PosedBuffers:
 
 @dataclass(frozen=True, eq=False)
 class Replacement:
-    """Offsets and rotations that take the place of a texel's own: weights (N,), offsets (N, 3) m, quaternions
-    (N, 4). A texel of weight 0 keeps its own.
+    """What takes the place of a texel's own: weights (N,), offsets (N, 3) m, quaternions (N, 4) and colors
+    (N, 3) or None. A texel of weight 0 keeps its own.
     """
 
     weights: Floats
     offsets: Floats
-    quaternions: Floats
+    quaternions: Floats | None = None
+    colors: Floats | None = None
 
 
 class PosedLayer:
@@ -136,12 +138,17 @@ def _sparse(weights: Floats) -> tuple[NDArray[np.int32], NDArray[np.int32], Floa
     return first, bones.astype(np.int32), values.astype(np.float32)
 
 
-def _stacked(replacements: tuple[Replacement, ...], count: int) -> tuple[Floats, Floats, Floats]:
-    """Weights (R, N), offsets (R, N, 3), quaternions (R, N, 4)."""
-    weights, offsets, quaternions = (
-        np.zeros((len(replacements), count, *shape), np.float32) for shape in ((), (3,), (4,))
+def _stacked(replacements: tuple[Replacement, ...], count: int) -> tuple[NDArray[Any], ...]:
+    """Weights (R, N), offsets (R, N, 3), quaternions (R, N, 4), colours (R, N, 3); which have the last two."""
+    weights, offsets, quaternions, colors = (
+        np.zeros((len(replacements), count, *shape), np.float32) for shape in ((), (3,), (4,), (3,))
     )
     for row, replacement in enumerate(replacements):
-        weights[row] = replacement.weights
-        offsets[row], quaternions[row] = replacement.offsets, replacement.quaternions
-    return weights, offsets, quaternions
+        weights[row], offsets[row] = replacement.weights, replacement.offsets
+        if replacement.quaternions is not None:
+            quaternions[row] = replacement.quaternions
+        if replacement.colors is not None:
+            colors[row] = replacement.colors
+    turns = np.array([r.quaternions is not None for r in replacements], bool)
+    paints = np.array([r.colors is not None for r in replacements], bool)
+    return weights, offsets, quaternions, colors, turns, paints

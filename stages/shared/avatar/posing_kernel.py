@@ -88,12 +88,14 @@ def _add_bases(bases, block, coefficients, first, channels, residual):
 def pose_texels(
     turn, given, coefficients, offset_bases, color_bases, form_bases, channels,
     base, limits, bounded, rest,
-    first, bones, weights, matrices, swap_weights, swap_offsets, swap_quaternions,
+    first, bones, weights, matrices,
+    swap_weights, swap_offsets, swap_quaternions, swap_colors, turns, paints,
     means, covariances, opacities, colors,
 ):  # fmt: skip
     """See `PosedLayer.pose`. given: residual (N, 14), to which coefficients times bases are added.
 
-    limits: offset scale, least and greatest log scale; bounded: sigmoid colours.
+    limits: offset scale, least and greatest log scale; bounded: sigmoid colours; turns, paints: whether a
+    replacement has quaternions, colours.
     """
     count = rest.shape[0]
     matrix, spread = np.empty((3, 4), np.float32), np.empty((3, 3), np.float32)
@@ -127,7 +129,10 @@ def pose_texels(
                 if share > 0:
                     for k in range(3):
                         offset[k] += share * (swap_offsets[r, n, k] - offset[k])
-                    _turn_towards(quaternion, swap_quaternions[r, n], share)
+                        if paints[r]:
+                            colors[n, k] += share * (swap_colors[r, n, k] - colors[n, k])
+                    if turns[r]:
+                        _turn_towards(quaternion, swap_quaternions[r, n], share)
             matrix[:] = 0.0
             for entry in range(first[n], first[n + 1]):
                 bone, weight = bones[entry], weights[entry]

@@ -27,20 +27,16 @@ class Player:
 
     def __init__(self, outfit: Outfit, twin: Player | None = None) -> None:
         self.outfit = outfit
-        # Push-out needs normals, restored skin other colours, baselines labels of their own: the plain way.
-        special = outfit.pushes or outfit.restoration is not None
-        self._plain = bool(special) or any(layer.layer_ids is not None for layer in outfit.layers)
+        # Push-out needs normals, and baselines bring labels of their own: these take the plain way.
+        self._plain = bool(outfit.pushes) or any(layer.layer_ids is not None for layer in outfit.layers)
         self._bones: tuple[Poses, int, FramePose] | None = None
         betas = torch.from_numpy(outfit.betas)
-        swaps = tuple(
-            Replacement(swap.weights[:, 0].numpy(), swap.offsets.numpy(), swap.quaternions.numpy())
-            for swap in outfit.swaps
-        )
+        changes = _changes(outfit)
         self._layers: list[PosedLayer] = (
             twin._layers
             if twin is not None
             else [
-                PosedLayer(layer.model, betas, swaps if layer.name == "body" else ())
+                PosedLayer(layer.model, betas, changes if layer.name == "body" else ())
                 for layer in outfit.layers
             ]
         )
@@ -84,3 +80,18 @@ class Player:
             self._bones = (poses, first, moments)
         block = self._bones[2]
         return FramePose(block.transforms[frame - first], block.local_transforms[frame - first], block.betas)
+
+
+def _changes(outfit: Outfit) -> tuple[Replacement, ...]:
+    """What an outfit changes of the body's own: bare skin is restored, then garments bring their form."""
+    changes = []
+    if outfit.restoration is not None:
+        skin = outfit.restoration
+        changes.append(
+            Replacement(skin.weights[:, 0].numpy(), skin.offsets.numpy(), colors=skin.colors.numpy())
+        )
+    for swap in outfit.swaps:
+        changes.append(
+            Replacement(swap.weights[:, 0].numpy(), swap.offsets.numpy(), swap.quaternions.numpy())
+        )
+    return tuple(changes)

@@ -14,6 +14,7 @@ from stages.shared.avatar.deform import pose_layer, rotation_matrices
 from stages.shared.avatar.model import LayerModel
 from stages.shared.avatar.posing import PosedBuffers, PosedLayer, Replacement
 from stages.shared.avatar.texel_attributes import TexelAttributes
+from stages.shared.outfit.restore import Restoration, restored
 from stages.shared.outfit.swap import Swap, swapped
 from tests.shared.avatar.tubes import tube
 
@@ -69,14 +70,22 @@ def test_fused_posing_is_the_plain_one(kind: str, swaps: int) -> None:
         offsets = 0.02 * torch.randn(count, 3, generator=generator)
         quaternions = torch.nn.functional.normalize(torch.randn(count, 4, generator=generator), dim=1)
         changes.append(Swap("upper", weights, offsets, quaternions))
+    skin = None
+    if swaps:
+        weights = torch.rand(count, 1, generator=generator)
+        skin = Restoration(weights, 0.01 * torch.randn(count, 3), torch.rand(count, 3))
     with torch.no_grad():
-        attributes = swapped(model(pose), changes)
+        attributes = restored(model(pose), skin)
+        attributes = swapped(attributes, changes)
         plain = pose_layer(model.maps, attributes, world, BETAS)
         out = _buffers(count)
-        replaced = tuple(
+        replaced = [
             Replacement(c.weights[:, 0].numpy(), c.offsets.numpy(), c.quaternions.numpy()) for c in changes
-        )
-        PosedLayer(model, BETAS, replaced).pose(pose, world, out)
+        ]
+        if skin is not None:
+            bare = (skin.weights[:, 0].numpy(), skin.offsets.numpy())
+            replaced.insert(0, Replacement(*bare, colors=skin.colors.numpy()))
+        PosedLayer(model, BETAS, tuple(replaced)).pose(pose, world, out)
     np.testing.assert_allclose(out.means, plain.means, atol=5e-6)
     # A slerp of nearly opposite quaternions is ill-conditioned; elsewhere covariances agree to rounding.
     np.testing.assert_allclose(out.covariances, plain.covariances, atol=2e-7)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,8 +14,6 @@ from stages.shared.body.kinematics import skin
 from stages.shared.body.model import BodyModel
 from stages.shared.body.poses import Poses
 from stages.shared.capture import Take
-from stages.shared.meshes.raycast import RayScene
-from stages.shared.metrics.silhouette import iou
 
 _SHORTEST = 1e-4  # metres; edges shorter than this say nothing about stretch
 
@@ -77,30 +76,20 @@ def largest_stretches(layers: dict[str, SkinnedLayer], body: BodyModel, take: Ta
     }
 
 
-def filmed_frames(take: Take) -> list[int]:
-    """Rows of the take's poses that its first training camera filmed."""
-    first = take.training_cameras[0]
-    return [frame for frame in range(len(take.poses.rotations)) if take.has_image(first, frame)]
-
-
-def outline_agreement(
-    layers: dict[str, SkinnedLayer], body: BodyModel, take: Take, frames: list[int], cameras: list[str]
-) -> dict[int, float]:
-    """Mean silhouette IoU of each frame: all layers rendered as meshes against mask > 127."""
-    found = {}
+def joined(layers: dict[str, SkinnedLayer]) -> np.ndarray:
+    """Faces (F, 3) of all layers as one mesh."""
     starts = np.cumsum([0, *(len(layer.vertices) for layer in layers.values())])
-    faces = np.concatenate(
+    return np.concatenate(
         [layer.faces + start for layer, start in zip(layers.values(), starts[:-1], strict=True)]
     )
-    for frame in frames:
-        posed = np.concatenate([layer.posed(body, take.poses, frame) for layer in layers.values()])
-        scene = RayScene(posed, faces)
-        scores = []
-        for camera in cameras:
-            if take.has_image(camera, frame):
-                shown = scene.render(take.camera(camera)).hit
-                scores.append(iou(shown, take.mask(camera, frame) > 127))
-        known = [score for score in scores if score is not None]
-        if known:
-            found[frame] = float(np.mean(known))
-    return found
+
+
+def posed_together(
+    layers: dict[str, SkinnedLayer], body: BodyModel, take: Take
+) -> Callable[[int], np.ndarray]:
+    """Frame -> vertices of all layers as one mesh (V, 3) m, world."""
+
+    def posed(frame: int) -> np.ndarray:
+        return np.concatenate([layer.posed(body, take.poses, frame) for layer in layers.values()])
+
+    return posed

@@ -19,13 +19,12 @@ from typing import Any
 
 import numpy as np
 
-from stages.bench_templates.commands import run_command
 from stages.bench_templates.config import BARS, BenchTemplatesConfig
 from stages.bench_templates.skinned import (
     SkinnedLayer,
-    filmed_frames,
+    joined,
     largest_stretches,
-    outline_agreement,
+    posed_together,
 )
 from stages.bench_templates.truth import fit_errors, label_scores, shape_round_trip
 from stages.pipeline import BAKE_MAPS, CANONICALIZE, REGISTER_TEMPLATE, SEGMENT_LAYERS
@@ -33,7 +32,9 @@ from stages.shared.artifacts import Workspace, write_whole
 from stages.shared.artifacts.canonical import readable_json
 from stages.shared.body.model import BodyModel
 from stages.shared.capture import Capture
+from stages.shared.capture.outlines import filmed_frames, outline_agreement
 from stages.shared.capture.subject import open_subject_capture
+from stages.shared.commands import run_command
 from stages.shared.meshes.ply import encode_ply
 from stages.shared.poses.read import load_poses
 from stages.shared.report import SILENT, Report
@@ -204,7 +205,7 @@ def _skinned_rows(
     for take in capture.test_takes:
         cameras = list(take.training_cameras[:: config.camera_step])
         chosen = filmed_frames(take)[:: config.frame_step]
-        found = outline_agreement(layers, body, take, chosen, cameras)
+        found = outline_agreement(posed_together(layers, body, take), joined(layers), take, chosen, cameras)
         frames |= {f"{take.name} {frame}": score for frame, score in found.items()}
         for name, growth in largest_stretches(garments, body, take).items():
             stretches[name] = max(growth, stretches.get(name, 0.0))

@@ -139,7 +139,7 @@ def _sparse(weights: Floats) -> tuple[NDArray[np.int32], NDArray[np.int32], Floa
 
 
 def _stacked(replacements: tuple[Replacement, ...], count: int) -> tuple[NDArray[Any], ...]:
-    """Weights (R, N), offsets (R, N, 3), quaternions (R, N, 4), colours (R, N, 3); which have the last two."""
+    """Weights (R, N), offsets (R, N, 3), quaternions (R, N, 4), colours (R, N, 3), who has the last two."""
     weights, offsets, quaternions, colors = (
         np.zeros((len(replacements), count, *shape), np.float32) for shape in ((), (3,), (4,), (3,))
     )

@@ -12,7 +12,6 @@ import pytest
 from stages.bake_maps import stage as bake_maps
 from stages.bake_maps.config import PRESETS as BAKE
 from stages.bench_templates import stage
-from stages.bench_templates.commands import Outcome, run_command
 from stages.bench_templates.config import BARS, Bar, BenchTemplatesConfig
 from stages.bench_templates.skinned import SkinnedLayer
 from stages.bench_templates.truth import fit_errors, label_scores
@@ -23,6 +22,7 @@ from stages.register_template.config import PRESETS as REGISTER
 from stages.segment_layers import stage as segment_layers
 from stages.segment_layers.config import PRESETS as SEGMENT
 from stages.shared.body.load import embedded_body
+from stages.shared.commands import Outcome, run_command
 from stages.shared.errors import BadData
 from tests.stages.dressed_body import LOWER, SKIN, UPPER, dressed, write_capture
 

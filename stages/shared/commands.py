@@ -24,8 +24,8 @@ class Outcome:
     result: dict[str, Any]
 
 
-def run_command(*arguments: str | Path) -> Outcome:
-    """Run `gw` with these arguments and `--json`.
+def run_command(*arguments: str | Path, folder: Path | None = None) -> Outcome:
+    """Run `gw` with these arguments and `--json`, in `folder` if one is given.
 
     Raises:
         BadData: the command failed; its own message is passed on.
@@ -34,7 +34,7 @@ def run_command(*arguments: str | Path) -> Outcome:
     started = time.monotonic()
     with tempfile.TemporaryFile("w+") as stdout, tempfile.TemporaryFile("w+") as stderr:
         process = subprocess.Popen(
-            [sys.executable, "-m", "gw_cli", *words, "--json"], stdout=stdout, stderr=stderr
+            [sys.executable, "-m", "gw_cli", *words, "--json"], stdout=stdout, stderr=stderr, cwd=folder
         )
         # wait4 and not wait: it gives the peak memory of this one child.
         _, status, usage = os.wait4(process.pid, 0)

@@ -30,6 +30,7 @@ COMMANDS: tuple[str, ...] = (
     "wardrobe",
     "tryon",
     "render",
+    "view",
     "evaluate",
     "synth",
     "demo",

@@ -4,7 +4,8 @@
     picture.features, picture.alpha, picture.depth
 
 Argument names are those of gsplat. Backends: `reference` (plain torch, any float type, slow, the oracle),
-`cpu` (fast, float32 inside), `cuda` (gsplat). `auto` is `cuda` for tensors on a GPU, else `cpu`.
+`cpu` (fast, float32 unless `precision` says otherwise), `cuda` (gsplat). `auto` is `cuda` for tensors on a
+GPU, else `cpu`.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from torch import Tensor
 from stages.shared.errors import UsageProblem
 from stages.shared.splat.rendering import LayeredRendering, Rendering
 from stages.shared.splat.scene import Scene, make_scene
-from stages.shared.splat.settings import SplatSettings
+from stages.shared.splat.settings import ALPHA_MIN, TRANSMITTANCE_MIN, SplatSettings
 
 BACKENDS = ("auto", "reference", "cpu", "cuda")
 
@@ -41,6 +42,9 @@ def rasterize(
     far: float = 1e10,
     eps2d: float = 0.3,
     antialiased: bool = False,
+    alpha_min: float = ALPHA_MIN,
+    transmittance_min: float = TRANSMITTANCE_MIN,
+    precision: str = "single",
     median_depth: bool = False,
 ) -> Rendering:
     """Render Gaussians as seen by one camera or by B.
@@ -55,7 +59,7 @@ def rasterize(
         width, height: px.
         covars: (N, 3, 3) m^2, world.
         background: (C,) or (B, C), behind everything; none is black.
-        near, far: m; eps2d: px^2; antialiased: see `SplatSettings`.
+        near, far: m; eps2d: px^2; antialiased, alpha_min, transmittance_min, precision: see `SplatSettings`.
         median_depth: also return it.
 
     The rules are those of 3DGS: 0.3 px^2 blur, alpha below 1/255 left out, alpha at most 0.999, a pixel stops
@@ -66,7 +70,7 @@ def rasterize(
 
     Raises UsageProblem (shapes, names) and BadData (numbers), naming array and index.
     """
-    settings = SplatSettings(near, far, eps2d, antialiased)
+    settings = SplatSettings(near, far, eps2d, antialiased, alpha_min, transmittance_min, precision)
     scene = make_scene(
         means, quats, scales, covars, opacities, colors, viewmats, Ks, background, width, height,
         None, 0, (), 0, median_depth, settings,
@@ -96,6 +100,9 @@ def rasterize_layers(
     far: float = 1e10,
     eps2d: float = 0.3,
     antialiased: bool = False,
+    alpha_min: float = ALPHA_MIN,
+    transmittance_min: float = TRANSMITTANCE_MIN,
+    precision: str = "single",
     median_depth: bool = False,
 ) -> LayeredRendering:
     """Render all layers together, and layers as if the others were not there, in one traversal.
@@ -111,7 +118,7 @@ def rasterize_layers(
     Everything else as in `rasterize`; the background is behind the composite and behind every layer. The
     result's `layers` are in the order of `alone`.
     """
-    settings = SplatSettings(near, far, eps2d, antialiased)
+    settings = SplatSettings(near, far, eps2d, antialiased, alpha_min, transmittance_min, precision)
     if layers < 1:
         raise UsageProblem(f"layers is {layers}.", "layers", "Ask for one layer at least.")
     scene = make_scene(

@@ -1,4 +1,4 @@
-"""The CPU backend: compiled vector kernels over tiles, float32 pictures, float64 projection.
+"""The CPU backend: compiled vector kernels over tiles, float32 (or float64) pictures, float64 projection.
 
 Forward: project -> sort by depth -> sort into tiles -> blend. Backward: blend again, front to back, into one
 slot per (tile, Gaussian) -> sum each Gaussian's slots in order -> backward of the projection. The same bytes
@@ -7,6 +7,7 @@ come out whatever the number of threads.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -55,6 +56,10 @@ class Sizes:
         return self.channels in layout.SPECIALISED_CHANNELS
 
     @property
+    def kind(self) -> np.dtype:
+        return layout.element_type(self.settings)
+
+    @property
     def columns(self) -> int:
         return -(-self.width // layout.TILE)
 
@@ -76,13 +81,13 @@ class Sizes:
 
     def kernel_sizes(self, own_pictures: np.ndarray | None) -> tuple[Any, ...]:
         """The arguments width ... lanes of the blending kernels."""
-        lanes, constants = layout.lanes_argument(self.lanes), layout.constants(self.lanes)
+        lanes, constants = layout.lanes_argument(self.lanes), layout.constants(self.lanes, self.settings)
         return self.width, self.height, own_pictures, self.alone, constants, lanes
 
 
 @dataclass(frozen=True)
 class Gaussians:
-    """The inputs as flat float32 arrays; own_pictures int32: from 1 on, 0 where only the composite counts."""
+    """The inputs as flat arrays; own_pictures int32: from 1 on, 0 where only the composite counts."""
 
     means: np.ndarray  # (3N,)
     quats: np.ndarray | None  # (4N,)
@@ -102,7 +107,7 @@ class Gaussians:
 class View:
     """What one camera saw: kept for the backward pass."""
 
-    camera: np.ndarray  # (24,) see kernels/geometry.py
+    camera: np.ndarray  # (25,) see kernels/geometry.py
     background: np.ndarray  # (C,)
     records: np.ndarray  # (N * record,)
     counts: np.ndarray  # (N,) tiles per Gaussian
@@ -134,28 +139,29 @@ class Pictures:
 
 
 def camera_numbers(viewmat: np.ndarray, intrinsics: np.ndarray, sizes: Sizes) -> np.ndarray:
-    """One camera as the 24 doubles that the projection reads."""
+    """One camera as the 25 doubles that the projection reads."""
     fx, fy, cx, cy = intrinsics[0, 0], intrinsics[1, 1], intrinsics[0, 2], intrinsics[1, 2]
     margin_x, margin_y = FRUSTUM_MARGIN * 0.5 * sizes.width / fx, FRUSTUM_MARGIN * 0.5 * sizes.height / fy
     left, right = -cx / fx - margin_x, (sizes.width - cx) / fx + margin_x
     top, bottom = -cy / fy - margin_y, (sizes.height - cy) / fy + margin_y
     options = sizes.settings
-    tail = (options.near, options.far, options.eps2d, float(options.antialiased))
+    cut = math.log2(options.alpha_min)
+    tail = (options.near, options.far, options.eps2d, float(options.antialiased), cut)
     axes = (*viewmat[:3, :3].ravel(), *viewmat[:3, 3])
     return np.array([*axes, fx, fy, cx, cy, left, right, top, bottom, *tail], np.float64)
 
 
-def _whole_lines(count: int) -> np.ndarray:
-    """Uninitialised float32 that begin at a cache line: records and slots are whole lines."""
-    room = np.empty(count + 16, np.float32)
-    skip = -(room.ctypes.data // 4) % 16
+def _whole_lines(count: int, sizes: Sizes) -> np.ndarray:
+    """Uninitialised numbers that begin at a cache line: records and slots are whole lines."""
+    room = np.empty(count + 16, sizes.kind)
+    skip = -(room.ctypes.data // room.itemsize) % (64 // room.itemsize)
     return room[skip : skip + count]
 
 
 def arrange(gaussians: Gaussians, camera: np.ndarray, background: np.ndarray, sizes: Sizes) -> View:
     """Project, sort by depth, sort into tiles."""
     n = len(gaussians.opacities)
-    records, boxes = _whole_lines(n * sizes.record), np.empty(4 * n, np.uint16)
+    records, boxes = _whole_lines(n * sizes.record, sizes), np.empty(4 * n, np.uint16)
     depths, counts = np.empty(n, np.float32), np.empty(n, np.int32)
     run_together(
         project, *gaussians.placed, gaussians.colors, sizes.channels, camera,
@@ -194,8 +200,8 @@ def blend_view(view: View, pictures: Pictures, median: np.ndarray | None, sizes:
     )  # fmt: skip
     if median is not None:
         run_together(
-            median_depths, *lists, *blocks, view.records, sizes.record, median.reshape(-1), sizes.width,
-            sizes.height, view.own_pictures, sizes.alone, layout.constants(sizes.lanes), sizes.lanes,
+            median_depths, *lists, *blocks, view.records, sizes.record, median.reshape(-1),
+            *sizes.kernel_sizes(view.own_pictures),
         )  # fmt: skip
 
 
@@ -210,7 +216,7 @@ def view_backward(
 ) -> np.ndarray:
     """Write (or add) the gradients of one camera's pictures to `outgoing`; return the camera's own (16,)."""
     lanes, slot = layout.lanes_argument(sizes.lanes), sizes.argument(sizes.slot)
-    sums = _whole_lines(len(view.gaussians) * sizes.slot)
+    sums = _whole_lines(len(view.gaussians) * sizes.slot, sizes)
     run_together(
         blend_backward, view.starts, view.gaussians, view.slots, view.records, sizes.record, view.background,
         *pictures.flat, view.blocks, view.own_blocks, *incoming.flat, sums,
@@ -240,7 +246,7 @@ class _OnceOnly(torch.autograd.Function):
 
 
 class _Rasterize(torch.autograd.Function):
-    """Pictures with a leading axis of cameras, see `Pictures`, and the median depth; of float32 inputs."""
+    """Pictures with a leading axis of cameras, see `Pictures`, and the median depth; inputs in that type."""
 
     @staticmethod
     def forward(
@@ -260,12 +266,12 @@ class _Rasterize(torch.autograd.Function):
         inputs = (means, quats, scales, covars, opacities, colors, own_pictures)
         gaussians = _gaussians(inputs)
         cameras, others, place = len(viewmats), sizes.alone or 0, (sizes.height, sizes.width)
-        features = torch.empty(cameras, *place, sizes.channels)
-        alone_features = torch.empty(cameras, others, *place, sizes.alone_channels)
-        alpha, depth = (torch.empty(cameras, 1 + others, *place) for _ in range(2))
+        features = means.new_empty(cameras, *place, sizes.channels)
+        alone_features = means.new_empty(cameras, others, *place, sizes.alone_channels)
+        alpha, depth = (means.new_empty(cameras, 1 + others, *place) for _ in range(2))
         pictures = (features, alone_features, alpha, depth)
-        median = torch.empty(alpha.shape if sizes.median else 0)
-        behind = torch.zeros(cameras, sizes.channels) if background is None else background.contiguous()
+        median = means.new_empty(alpha.shape if sizes.median else 0)
+        behind = means.new_zeros(cameras, sizes.channels) if background is None else background.contiguous()
         views = []
         for i in range(cameras):
             camera = camera_numbers(viewmats[i].double().numpy(), Ks[i].double().numpy(), sizes)
@@ -292,13 +298,13 @@ class _Rasterize(torch.autograd.Function):
         inputs, pictures = ctx.saved_tensors[:-4], ctx.saved_tensors[-4:]
         gaussians = _gaussians(inputs)
         incoming = [x.contiguous() for x in grads[:4]]
-        outgoing = [None if x is None else torch.empty(x.shape) for x in inputs[:6]]
+        outgoing = [None if x is None else torch.empty(x.shape, dtype=x.dtype) for x in inputs[:6]]
         arrays = [None if x is None else x.numpy().reshape(-1) for x in outgoing]
-        g_viewmats, g_Ks = torch.zeros(len(views), 4, 4), torch.zeros(len(views), 3, 3)
+        g_viewmats, g_Ks = (inputs[0].new_zeros(len(views), side, side) for side in (4, 3))
         for i, view in enumerate(views):
             seen, wanted = Pictures.of(pictures, i), Pictures.of(incoming, i)
             numbers = view_backward(gaussians, view, seen, wanted, arrays, i > 0, sizes)
-            g_camera = torch.from_numpy(numbers.clip(-LARGEST, LARGEST)).float()
+            g_camera = torch.from_numpy(numbers.clip(-LARGEST, LARGEST)).to(g_Ks)
             g_viewmats[i, :3, :3], g_viewmats[i, :3, 3] = g_camera[:9].reshape(3, 3), g_camera[9:12]
             g_Ks[i, [0, 1, 0, 1], [0, 1, 2, 2]] = g_camera[12:]
         g_background = None
@@ -332,15 +338,16 @@ def render_scene(scene: Scene) -> list[Rendering]:
     others = len(scene.alone) or None
     sizes = Sizes(
         scene.width, scene.height, scene.colors.shape[1], others, scene.alone_channels, scene.median,
-        scene.settings, layout.host_lanes(),
+        scene.settings, layout.host_lanes(scene.settings.precision),
     )  # fmt: skip
     inputs = (
         scene.means, scene.quats, scene.scales, scene.covars, scene.opacities, scene.colors, scene.viewmats,
         scene.Ks, scene.background,
     )  # fmt: skip
-    singles = [None if x is None else x.float() for x in inputs]
+    kind = torch.float64 if scene.settings.precision == "double" else torch.float32
+    exact = [None if x is None else x.to(kind) for x in inputs]
     try:
-        pictures = _Rasterize.apply(sizes, _own_pictures(scene), *singles)
+        pictures = _Rasterize.apply(sizes, _own_pictures(scene), *exact)
     except RefusedGaussians:
         check_gaussians(scene)
         raise

@@ -17,6 +17,7 @@ from torch import Tensor
 from stages.shared.errors import MissingInput
 from stages.shared.splat.rendering import Rendering
 from stages.shared.splat.scene import Scene, check_gaussians
+from stages.shared.splat.settings import ALPHA_MIN, TRANSMITTANCE_MIN, SplatSettings
 
 
 @functools.cache
@@ -31,6 +32,27 @@ def why_not() -> str | None:
     except (ImportError, OSError, RuntimeError) as error:
         return f"gsplat does not load: {error}"
     return None
+
+
+def torch_projection(
+    means: Tensor, quats: Tensor, scales: Tensor, viewmat: Tensor, intrinsics: Tensor, width: int, height: int
+) -> tuple[Tensor, Tensor, Tensor]:
+    """gsplat's projection in plain torch, on any device: centers (N, 2) px, conics (N, 3), depths (N,) m.
+
+    A peer to measure against; raises MissingInput when gsplat is not installed or does not load.
+    """
+    try:
+        plain: Any = importlib.import_module("gsplat.cuda._torch_impl")
+    except (ImportError, OSError, RuntimeError, AttributeError) as error:
+        problem = f"gsplat does not load: {error}"
+        if importlib.util.find_spec("gsplat") is None:
+            problem = "gsplat is not installed"
+        raise MissingInput(problem + ".", "gsplat", "Install the extra `cuda`.") from None
+    covars, _ = plain._quat_scale_to_covar_preci(quats, scales, True, False)
+    _, centers, depths, conics, _ = plain._fully_fused_projection(
+        means, covars, viewmat[None], intrinsics[None], width, height
+    )
+    return centers[0], conics[0], depths[0]
 
 
 def _picture(scene: Scene, members: Tensor | None, channels: int) -> tuple[Tensor, Tensor, Tensor]:
@@ -72,14 +94,21 @@ def _picture(scene: Scene, members: Tensor | None, channels: int) -> tuple[Tenso
     return features, alpha[..., 0], depth
 
 
+def _usual(settings: SplatSettings) -> bool:
+    cuts = (settings.alpha_min, settings.transmittance_min)
+    return cuts == (ALPHA_MIN, TRANSMITTANCE_MIN) and settings.precision == "single"
+
+
 def render_scene(scene: Scene) -> list[Rendering]:
     """The composite, then the layers alone: fields (B, H, W, ...), in the dtype of the means.
 
-    Raises MissingInput when there is no CUDA device or no gsplat, or when the median depth is asked for.
+    Raises MissingInput when there is no CUDA device or no gsplat, or when it lacks an option asked for.
     """
     reason = why_not()
     if reason is None and scene.median:
         reason = "it has no median depth"
+    if reason is None and not _usual(scene.settings):
+        reason = "its cut-offs and its precision are fixed"
     if reason is not None:
         raise MissingInput(
             f"The CUDA splatting backend cannot run: {reason}.",

@@ -133,19 +133,19 @@ def project(
     return Projected(index, perspective(points, intrinsics), conics, points[:, 2], opacities)
 
 
-def alphas(gaussians: Projected, pixels: Tensor) -> Tensor:
+def alphas(gaussians: Projected, pixels: Tensor, least: float = ALPHA_MIN) -> Tensor:
     """Opacity times the falloff at every pixel, cut and clamped: pixel centres (P, 2) px -> (P, M)."""
     dx, dy = (pixels[:, None] - gaussians.centers[None]).unbind(-1)
     xx, xy, yy = gaussians.conics.unbind(-1)
     falloff = torch.exp(-0.5 * (xx * dx * dx + yy * dy * dy) - xy * dx * dy)
     alpha = gaussians.opacities * falloff
-    return torch.where(alpha >= ALPHA_MIN, alpha.clamp_max(ALPHA_MAX), 0.0)
+    return torch.where(alpha >= least, alpha.clamp_max(ALPHA_MAX), 0.0)
 
 
-def weights(alpha: Tensor) -> tuple[Tensor, Tensor]:
+def weights(alpha: Tensor, stop: float = TRANSMITTANCE_MIN) -> tuple[Tensor, Tensor]:
     """Front to back: alphas (P, M) -> w_k = alpha_k prod_{j<k} (1 - alpha_j) (P, M), T_end (P,)."""
     after = torch.cumprod(1 - alpha, 1)
-    alpha = torch.where(after > TRANSMITTANCE_MIN, alpha, 0.0)
+    alpha = torch.where(after > stop, alpha, 0.0)
     kept = torch.cumprod(1 - alpha, 1)
     before = torch.cat([torch.ones_like(kept[:, :1]), kept[:, :-1]], 1)
     left = kept[:, -1] if kept.shape[1] else torch.ones_like(kept.sum(1))
@@ -169,6 +169,7 @@ def render(
     height: int,
     members: Tensor | None = None,
     median: bool = False,
+    settings: SplatSettings = SplatSettings(),
 ) -> Rendering:
     """Composite M sorted Gaussians, colours (N, C) of all, into H x W pixels; `members` (M,) picks some."""
     features, opaque, depth, middle = [], [], [], []
@@ -179,10 +180,10 @@ def render(
     )
     centers = torch.stack([column.reshape(-1), row.reshape(-1)], -1).to(like.dtype) + 0.5
     for pixels in centers.split(_PIXELS_AT_ONCE):
-        alpha = alphas(gaussians, pixels)
+        alpha = alphas(gaussians, pixels, settings.alpha_min)
         if members is not None:
             alpha = torch.where(members, alpha, 0.0)
-        w, left = weights(alpha)
+        w, left = weights(alpha, settings.transmittance_min)
         features.append(w @ colors if background is None else w @ colors + left[:, None] * background)
         opaque.append(1 - left)
         depth.append(w @ gaussians.depths)
@@ -212,12 +213,13 @@ def render_scene(scene: Scene) -> list[Rendering]:
         view, intrinsics = exact.viewmats[camera], exact.Ks[camera]
         gaussians = project(exact.means, covars, exact.opacities, view, intrinsics, *shape, exact.settings)
         background = None if exact.background is None else exact.background[camera]
-        composite.append(render(gaussians, exact.colors, background, *shape, None, exact.median))
+        options = (exact.median, exact.settings)
+        composite.append(render(gaussians, exact.colors, background, *shape, None, *options))
         for layer, pictures in zip(exact.alone, alone, strict=True):
             assert ids is not None
             members, first = ids[gaussians.index] == layer, slice(exact.alone_channels)
             behind = None if background is None else background[first]
-            pictures.append(render(gaussians, exact.colors[:, first], behind, *shape, members, exact.median))
+            pictures.append(render(gaussians, exact.colors[:, first], behind, *shape, members, *options))
     return stacked([composite, *alone], dtype)
 
 

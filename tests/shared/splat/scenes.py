@@ -38,6 +38,9 @@ class Case:
     alone: tuple[int, ...] | None = None
     alone_channels: int | None = None
     antialiased: bool = False
+    alpha_min: float = ALPHA_MIN
+    transmittance_min: float = TRANSMITTANCE_MIN
+    precision: str = "single"
 
     def to(self, dtype: torch.dtype) -> Case:
         changed = {name: getattr(self, name) for name in PARAMETERS}
@@ -56,13 +59,8 @@ class Case:
             self.means, self.quats, self.scales, self.opacities, self.colors, self.viewmats, self.Ks,
             self.width, self.height,
         )  # fmt: skip
-        options = dict(
-            covars=self.covars,
-            background=self.background,
-            antialiased=self.antialiased,
-            backend=backend,
-            **options,
-        )
+        names = ("covars", "background", "antialiased", "alpha_min", "transmittance_min", "precision")
+        options = {name: getattr(self, name) for name in names} | options | {"backend": backend}
         if not self.layers:
             return [rasterize(*arguments, **options)]
         assert self.layer_ids is not None
@@ -175,15 +173,15 @@ def settled_pixels(case: Case, band: float = 1e-4) -> Tensor:
         dx, dy = (pixels[:, None] - g.centers[None]).unbind(-1)
         xx, xy, yy = g.conics.unbind(-1)
         raw = g.opacities * torch.exp(-0.5 * (xx * dx * dx + yy * dy * dy) - xy * dx * dy)
-        near = ((raw / ALPHA_MIN - 1).abs() < band) | ((raw / ALPHA_MAX - 1).abs() < band)
+        near = ((raw / case.alpha_min - 1).abs() < band) | ((raw / ALPHA_MAX - 1).abs() < band)
         rows = [torch.ones(len(g.index), dtype=torch.bool)]
         if case.layer_ids is not None:
             rows += [case.layer_ids[g.index] == layer for layer in range(case.layers)]
         settled = ~near.any(1)
         for members in rows:
-            alpha = torch.where(members & (raw >= ALPHA_MIN), raw.clamp_max(ALPHA_MAX), 0.0)
+            alpha = torch.where(members & (raw >= case.alpha_min), raw.clamp_max(ALPHA_MAX), 0.0)
             left = torch.cumprod(1 - alpha, 1)
-            settled &= ~((left / TRANSMITTANCE_MIN - 1).abs() < 10 * band).any(1)
+            settled &= ~((left - case.transmittance_min).abs() < 10 * band * case.transmittance_min).any(1)
         found.append(settled.reshape(case.height, case.width))
     return torch.stack(found) if batched else found[0]
 
@@ -197,7 +195,8 @@ def compare(case: Case, backend: str = "cpu", forward: float = 1e-5, gradient: f
     settled = settled_pixels(case)
     assert settled.float().mean() > 0.9
     outcomes = []
-    for name, dtype in (("reference", torch.float64), (backend, torch.float32)):
+    own = torch.float64 if case.precision == "double" else torch.float32
+    for name, dtype in (("reference", torch.float64), (backend, own)):
         leaves = case.to(dtype).with_gradients()
         pictures = leaves.render(name)
         g = torch.Generator().manual_seed(7)

@@ -13,10 +13,13 @@ from typer.testing import CliRunner
 from gw_cli.app import app
 from stages.shared.errors import UsageProblem
 from stages.shared.splat import reference
+from stages.shared.splat.api import rasterize
 from stages.shared.splat.benchmark.chart import Series, chart
 from stages.shared.splat.benchmark.figure import make_camera, make_figure
 from stages.shared.splat.benchmark.limit import measure_limit
 from stages.shared.splat.benchmark.measure import Case, measure
+from stages.shared.splat.benchmark.memory import peak_bytes
+from stages.shared.splat.benchmark.peers import gsplat_torch, why_no_gsplat
 from stages.shared.splat.benchmark.run import BenchConfig, run
 from stages.shared.splat.kernels import layout
 from stages.shared.splat.settings import SplatSettings
@@ -62,14 +65,42 @@ def test_figure_is_seeded_and_person_sized():
 
 def test_run_writes_json_and_charts(tmp_path):
     before = torch.get_num_threads()
-    result = run(tmp_path, BenchConfig((200, 400), (24, 48), (3,), rounds=1, threads=2))
+    result = run(tmp_path, BenchConfig((200, 400), (24, 48), (3,), rounds=1, threads=2, cold=False))
     assert torch.get_num_threads() == before
     assert [path.name for path in result.files] == ["splat.json", "splat_gaussians.svg", "splat_pixels.svg"]
     stored = json.loads(result.files[0].read_text())
     assert len(stored["cases"]) == 4 and stored["threads"] == 2
     for path in result.files[1:]:
         root = xml.fromstring(path.read_text())
-        assert len(root.findall("{http://www.w3.org/2000/svg}polyline")) == 4
+        assert len(root.findall("{http://www.w3.org/2000/svg}polyline")) == 2  # forward, both
+    first = stored["first_call"]
+    assert first["new_process"]["seconds"] > 0 and first["new_process_empty_cache"] is None
+    assert not first["new_process"]["compiled"]  # this process has left its code on disk
+    assert stored["times_faster_than_reference"] > 0
+    assert (stored["times_faster_than_gsplat_torch"] is None) == ("skipped" in stored["gsplat_torch"])
+
+
+def test_peak_memory_is_that_of_the_process():
+    def allocate() -> None:
+        np.ones(40 << 17)  # 40 MiB of float64, touched
+
+    found = peak_bytes(allocate)
+    if found["peak_bytes"] is None:
+        pytest.skip("no /proc/self/clear_refs on this system")
+    assert found["peak_growth_bytes"] > 35 << 20 and found["peak_bytes"] > found["peak_growth_bytes"]
+    after = peak_bytes(lambda: None)
+    assert after["peak_growth_bytes"] < 5 << 20  # the old peak is forgotten
+
+
+@pytest.mark.skipif(why_no_gsplat() is not None, reason=str(why_no_gsplat()))
+def test_gsplat_in_torch_shows_the_same_picture():
+    figure, (view, intrinsics) = make_figure(300, 3), make_camera(32)
+    camera = (view, intrinsics, 32, 32)
+    peer = gsplat_torch(figure, *camera, torch.ones(3))
+    shape = (figure.means, figure.quats, figure.scales, figure.opacities, figure.colors)
+    ours = rasterize(*shape, *camera, background=torch.ones(3))
+    for field in ("features", "alpha", "depth"):
+        assert (getattr(peer, field) - getattr(ours, field)).abs().mean() < 1e-4
 
 
 def test_chart_places_points_on_logarithmic_axes():
@@ -83,7 +114,9 @@ def test_chart_places_points_on_logarithmic_axes():
 
 def test_command_in_json():
     found = CliRunner().invoke(
-        app, ["bench", "splat", "--gaussians", "0.2k", "--sizes", "24", "--rounds", "1", "--json"]
+        app,
+        ["bench", "splat", "--gaussians", "0.2k", "--sizes", "24", "--channels", "3", "--rounds", "1"]
+        + ["--no-cold", "--json"],
     )
     assert found.exit_code == 0
     last = json.loads(found.stdout.strip().splitlines()[-1])["result"]

@@ -290,7 +290,17 @@ def test_layers_that_cannot_be_rendered_alone_are_refused(change):
 
 
 @pytest.mark.parametrize(
-    "option", [{"near": 0.0}, {"near": 2.0, "far": 1.0}, {"eps2d": 0.0}, {"far": float("nan")}]
+    "option",
+    [
+        {"near": 0.0},
+        {"near": 2.0, "far": 1.0},
+        {"eps2d": 0.0},
+        {"far": float("nan")},
+        {"alpha_min": 0.0},
+        {"alpha_min": float("nan")},
+        {"transmittance_min": -1e-9},
+        {"precision": "half"},
+    ],
 )
 def test_impossible_options_are_refused(option):
     with pytest.raises(UsageProblem):

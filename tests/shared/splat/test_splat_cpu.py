@@ -37,6 +37,51 @@ def test_antialiased():
     compare(replace(random_case(6), antialiased=True))
 
 
+@pytest.mark.parametrize("alpha_min, transmittance_min", [(1e-5, 0.0), (0.05, 0.02)])
+def test_cut_offs(alpha_min, transmittance_min):
+    case = replace(random_case(26), alpha_min=alpha_min, transmittance_min=transmittance_min)
+    compare(case)
+    usual = random_case(26).render("cpu")[0].features
+    assert (case.render("cpu")[0].features - usual).abs().max() > 1e-4
+
+
+@pytest.mark.parametrize("layers", [0, 2])
+def test_double_precision(layers):
+    """Gaussians are still left out by their float32 depth, so the order is the same."""
+    case = replace(random_case(27, layers=layers), precision="double")
+    compare(case, forward=1e-11, gradient=1e-10)
+
+
+@pytest.mark.parametrize("layers, antialiased", [(0, False), (2, True)])
+def test_gradcheck_of_the_backend_itself(layers, antialiased):
+    """Against its own finite differences in float64, away from the cut-offs."""
+    case = random_case(15, n=7, width=12, height=10, layers=layers).to(torch.float64)
+    case = replace(
+        case,
+        means=0.1 * case.means,
+        scales=0.8 + case.scales,
+        opacities=0.2 + 0.3 * case.opacities,
+        alpha_min=1e-6,
+        transmittance_min=0.0,
+        antialiased=antialiased,
+        precision="double",
+    )
+    values = {name: value.detach() for name, value in case.parameters().items()}
+    rows = values.pop("viewmats")
+    intrinsics = values.pop("Ks")
+    leaves = [x.requires_grad_() for x in (*values.values(), rows[:3].clone(), intrinsics[[0, 1], [0, 1]])]
+
+    def pictures(*inputs):
+        *plain, pose, focal = inputs
+        camera = torch.cat([pose, rows[3:].detach()])
+        matrix = intrinsics.detach().index_put((torch.arange(2), torch.arange(2)), focal)
+        changed = dict(zip(values, plain, strict=True))
+        found = replace(case, **changed, viewmats=camera, Ks=matrix).render("cpu")
+        return tuple(getattr(picture, field) for picture in found for field in FIELDS)
+
+    assert torch.autograd.gradcheck(pictures, leaves, fast_mode=True)
+
+
 def test_layers_in_one_traversal():
     compare(random_case(7, n=150, layers=3))
 
@@ -84,7 +129,7 @@ def test_longer_lists_than_one_stretch():
 
 
 def test_eight_lanes(monkeypatch):
-    monkeypatch.setattr(layout, "host_lanes", lambda: 8)
+    monkeypatch.setattr(layout, "host_lanes", lambda *_: 8)
     compare(random_case(11))
     compare(random_case(12, n=80, layers=2))
 

@@ -16,6 +16,8 @@ from stages.shared.splat import cpu
 from stages.shared.splat.api import rasterize
 from stages.shared.splat.benchmark.figure import Figure, make_camera, make_figure
 from stages.shared.splat.benchmark.limit import Limit, flops_per_pair
+from stages.shared.splat.benchmark.memory import peak_bytes
+from stages.shared.splat.benchmark.peers import gsplat_torch
 from stages.shared.splat.kernels import layout
 from stages.shared.splat.kernels.tally import tally
 from stages.shared.splat.kernels.threads import run_together, watch
@@ -40,7 +42,10 @@ class Case:
 
 
 def measure(case: Case, rounds: int, limit: Limit, backend: str = "cpu") -> dict[str, Any]:
-    """Time forward and forward + backward (loss on all outputs), median and least of `rounds`."""
+    """Time forward and forward + backward (loss on all outputs), median and least of `rounds`.
+
+    backend: one of `rasterize`, or "gsplat-torch" (see `peers`).
+    """
     figure = make_figure(case.gaussians, case.channels)
     view, intrinsics = make_camera(case.size)
     background = torch.ones(case.channels)
@@ -49,6 +54,8 @@ def measure(case: Case, rounds: int, limit: Limit, backend: str = "cpu") -> dict
     weights = [torch.randn(*shape, *c, generator=generator) for c in ((case.channels,), (), ())]
 
     def render(figure: Figure) -> Any:
+        if backend == "gsplat-torch":
+            return gsplat_torch(figure, view, intrinsics, case.size, case.size, background)
         return rasterize(
             figure.means, figure.quats, figure.scales, figure.opacities, figure.colors, view, intrinsics,
             case.size, case.size, background=background, backend=backend,
@@ -68,6 +75,7 @@ def measure(case: Case, rounds: int, limit: Limit, backend: str = "cpu") -> dict
     found |= {"channels": case.channels, "threads": torch.get_num_threads(), "rounds": rounds}
     seconds, _ = _repeat(forward, rounds)
     both_seconds, phases = _repeat(both, rounds)
+    found |= peak_bytes(both)
     found |= _milliseconds("forward", seconds) | _milliseconds("forward_backward", both_seconds)
     found["frames_per_second"] = 1 / statistics.median(seconds)
     found["steps_per_second"] = 1 / statistics.median(both_seconds)

@@ -1,7 +1,7 @@
 """The benchmark of the splatting backends: measures cases one after the other, writes JSON and charts.
 
-Reads nothing. Writes `splat.json` (machine, limit, one entry per case) and, where there is more than one case
-to draw, `splat_gaussians.svg` and `splat_pixels.svg`.
+Reads nothing. Writes `splat.json` (machine, first calls, limit, one entry per case, peers) and, where there
+is more than one case to draw, `splat_gaussians.svg`, `splat_pixels.svg` and `splat_channels.svg`.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import platform
 import time
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,24 +21,35 @@ from stages.shared.errors import UsageProblem
 from stages.shared.report import SILENT, Report
 from stages.shared.splat import cpu, cuda
 from stages.shared.splat.benchmark.chart import Series, chart
+from stages.shared.splat.benchmark.first_call import measure_first_call
 from stages.shared.splat.benchmark.limit import Limit, measure_limit
 from stages.shared.splat.benchmark.measure import Case, measure
+from stages.shared.splat.benchmark.peers import why_no_gsplat
 from stages.shared.splat.kernels import layout
 from stages.shared.splat.kernels.compiling import compilations
 
 _REFERENCE_CASE = Case(1000, 40, 3)
-"""What the reference can do in a second: every pixel against every Gaussian."""
+"""What plain torch can do in a second: every pixel against every Gaussian."""
+_SLOW_ROUNDS = 3
 
 
 @dataclass(frozen=True)
 class BenchConfig:
-    """gaussians x sizes (px) x channels are measured, each `rounds` times; threads: 0 is torch's number."""
+    """gaussians x sizes (px) x channels are measured, each `rounds` times; threads: 0 is torch's number.
 
-    gaussians: tuple[int, ...] = (25_000, 50_000, 100_000, 200_000)
-    sizes: tuple[int, ...] = (512,)
-    channels: tuple[int, ...] = (3,)
-    rounds: int = 9
+    cold: also time a first call that must compile.
+    """
+
+    gaussians: tuple[int, ...] = (25_000, 100_000, 400_000)
+    sizes: tuple[int, ...] = (256, 512, 1024, 2048)
+    channels: tuple[int, ...] = (3, 7)
+    rounds: int = 5
     threads: int = 0
+    cold: bool = True
+
+    def quick(self) -> BenchConfig:
+        """What takes seconds: the small end of every axis."""
+        return replace(self, gaussians=(5_000, 20_000), sizes=(128, 256), channels=(3,), rounds=3, cold=False)
 
 
 @dataclass(frozen=True)
@@ -69,7 +80,13 @@ def _measure_all(config: BenchConfig, report: Report) -> dict[str, Any]:
     report.step("preparing the kernels")
     compiled, started = compilations(), time.perf_counter()
     cpu.warm_up(report, config.channels)
-    first = {"seconds": time.perf_counter() - started, "compiled": compilations() > compiled}
+    first: dict[str, Any] = {
+        "seconds": time.perf_counter() - started,
+        "compiled": compilations() > compiled,
+        "new_process": measure_first_call(cold=False),
+        "new_process_empty_cache": measure_first_call(cold=True) if config.cold else None,
+    }
+    report.say(_first_line(first))
     report.step("measuring the machine's limit")
     lanes = layout.host_lanes()
     limits = {channels: measure_limit(channels, lanes) for channels in config.channels}
@@ -83,8 +100,10 @@ def _measure_all(config: BenchConfig, report: Report) -> dict[str, Any]:
         report.progress(done + 1, len(cases))
     report.step("comparing with the reference")
     limit = next(iter(limits.values()))
-    slow = measure(_REFERENCE_CASE, 1, limit, "reference")
     fast = measure(_REFERENCE_CASE, config.rounds, limit)
+    slow = measure(_REFERENCE_CASE, _SLOW_ROUNDS, limit, "reference")
+    reason = why_no_gsplat()
+    gsplat = {"skipped": reason} if reason else measure(_REFERENCE_CASE, _SLOW_ROUNDS, limit, "gsplat-torch")
     return {
         "machine": _machine(),
         "threads": torch.get_num_threads(),
@@ -93,10 +112,23 @@ def _measure_all(config: BenchConfig, report: Report) -> dict[str, Any]:
         "cases": rows,
         "reference": slow,
         "reference_case_on_cpu": fast,
-        "times_faster_than_reference": slow["forward_backward_milliseconds"]
-        / fast["forward_backward_milliseconds"],
+        "times_faster_than_reference": _times(slow, fast),
+        "gsplat_torch": gsplat,
+        "times_faster_than_gsplat_torch": None if reason else _times(gsplat, fast),
         "cuda": cuda.why_not() or "available",
     }
+
+
+def _times(slow: dict[str, Any], fast: dict[str, Any]) -> float:
+    return float(slow["forward_backward_milliseconds"] / fast["forward_backward_milliseconds"])
+
+
+def _first_line(first: dict[str, Any]) -> str:
+    """The first calls, for people."""
+    text = f"first call in a new process: {first['new_process']['seconds']:.1f} s, kernels "
+    text += "compiled" if first["new_process"]["compiled"] else "read from disk"
+    cold = first["new_process_empty_cache"]
+    return text + (f"; {cold['seconds']:.1f} s when they must be compiled" if cold else "")
 
 
 def _machine() -> dict[str, str]:
@@ -127,17 +159,21 @@ def _line(row: dict[str, Any]) -> str:
         f"{row['forward_pairs_per_second'] / 1e6:.0f} M pairs/s blended; "
         f"of the in-cache bound {row['fraction_of_hot_bound']['forward']:.0%} forward, "
         f"{row['fraction_of_hot_bound']['backward']:.0%} backward; "
-        f"lane use {row['forward_lane_use']:.0%}; buffers {row['buffer_bytes'] / 2**20:.0f} MiB"
+        f"lane use {row['forward_lane_use']:.0%}; buffers {row['buffer_bytes'] / 2**20:.0f} MiB, "
+        f"peak of the process {_mebibytes(row['peak_bytes'])} (+ {_mebibytes(row['peak_growth_bytes'])})"
     )
+
+
+def _mebibytes(size: int | None) -> str:
+    return "unknown" if size is None else f"{size / 2**20:.0f} MiB"
 
 
 def _write(output: Path, summary: dict[str, Any]) -> list[Path]:
     output.mkdir(parents=True, exist_ok=True)
     files = [output / "splat.json"]
     write_whole(files[0], (json.dumps(summary, indent=2) + "\n").encode())
-    fixed = {"gaussians": ("size", "px"), "pixels": ("gaussians", "Gaussians")}
-    for axis, (held, unit) in fixed.items():
-        lines = _series(summary["cases"], axis, held, unit)
+    for axis in ("gaussians", "pixels", "channels"):
+        lines = _series(summary["cases"], axis)
         if lines:
             files.append(output / f"splat_{axis}.svg")
             title = f"Splatting on the CPU (threads: {summary['threads']})"
@@ -145,18 +181,28 @@ def _write(output: Path, summary: dict[str, Any]) -> list[Path]:
     return files
 
 
-def _series(rows: list[dict[str, Any]], axis: str, held: str, unit: str) -> list[Series]:
-    """Forward, and forward + backward, along one axis; a line for each value of the other."""
-
-    def position(row: dict[str, Any]) -> int:
-        return row["size"] ** 2 if axis == "pixels" else row["gaussians"]
-
+def _series(rows: list[dict[str, Any]], axis: str) -> list[Series]:
+    """Forward, and forward + backward, along one axis; the others held at their middle and first value."""
+    column = "size" if axis == "pixels" else axis
+    held = {name: _middle(rows, name) for name in ("gaussians", "size") if name != column}
     found = []
-    for key in sorted({(row[held], row["channels"]) for row in rows}):
-        chosen = [row for row in rows if (row[held], row["channels"]) == key]
-        if len({position(row) for row in chosen}) < 2:
+    for count in [None] if axis == "channels" else sorted({row["channels"] for row in rows}):
+        fixed = held if count is None else {**held, "channels": count}
+        chosen = [row for row in rows if all(row[name] == value for name, value in fixed.items())]
+        if len({row[column] for row in chosen}) < 2:
             continue
-        for name, label in (("forward", "forward"), ("forward_backward", "with backward")):
-            points = [(float(position(row)), float(row[f"{name}_milliseconds"])) for row in chosen]
-            found.append(Series(f"{label}, {key[0]} {unit}", points))
+        suffix = ", " + ", ".join(_held(name, value) for name, value in fixed.items())
+        for name, label in (("forward", "forward"), ("forward_backward", "both")):
+            power = 2 if axis == "pixels" else 1
+            points = [(float(row[column] ** power), float(row[f"{name}_milliseconds"])) for row in chosen]
+            found.append(Series(label + suffix, points))
     return found
+
+
+def _middle(rows: list[dict[str, Any]], name: str) -> int:
+    values = sorted({int(row[name]) for row in rows})
+    return values[(len(values) - 1) // 2]
+
+
+def _held(name: str, value: int) -> str:
+    return {"gaussians": f"{value / 1000:g} k", "size": f"{value} px", "channels": f"{value} ch"}[name]

@@ -15,6 +15,7 @@ from stages.shared.splat.kernels.falloff import block_corner, falloff, numbers, 
 from stages.shared.splat.kernels.lanes import bits, fma, magnitude, maximum
 from stages.shared.splat.kernels.layout import (
     BLOCK_WIDTH,
+    CUT,
     DEPTH,
     LOG_OPACITY,
     NUMBERS,
@@ -40,8 +41,6 @@ from stages.shared.splat.kernels.memory import (
     prefetch,
     put,
     set_at,
-    spread,
-    store,
     take,
 )
 from stages.shared.splat.settings import ALPHA_MAX
@@ -74,10 +73,9 @@ def _blocks_inside(lanes, top, left, width, height):
 def _start_pictures(state, base, sets, planes, lanes, top, left, width, height):
     """Empty pixels of `sets` pictures; those outside the image are stopped from the beginning."""
     count = len(lanes)
-    for place in range(base, base + sets * planes * TILE_PIXELS, count):
-        store(state, place, spread(ZERO, lanes))
+    state[base : base + sets * planes * TILE_PIXELS] = 0.0
     for place in range(base, base + sets * planes * TILE_PIXELS, planes * count):
-        store(state, place, spread(ONE, lanes))
+        state[place : place + count] = 1.0
     if top + TILE > height or left + TILE > width:
         for picture in range(sets):
             for row in range(TILE):
@@ -133,7 +131,7 @@ def reached_blocks(records, record, constants, top, left, lanes):
     half_width = np.float32(0.5 * (BLOCK_WIDTH - 1))
     half_height = np.float32(0.5) * np.float32(count // BLOCK_WIDTH - 1)
     span_u, span_v = ux * half_width + abs(u_y) * half_height, vy * half_height
-    reach = at(records, record + LOG_OPACITY) - at(constants, 7 * count) + _SLACK
+    reach = at(records, record + LOG_OPACITY) - at(constants, CUT * count) + _SLACK
     middles = (NUMBERS + 2) * count
     found = 0
     for block in range(0, TILE_PIXELS // count, count):
@@ -208,12 +206,13 @@ def blend(
     size, own_size = length(planes) * count, length(own_planes) * count
     # In `state` the composite comes first, then the others, which may have fewer planes.
     first_other, other_size = length(planes) * TILE_PIXELS, length(own_planes) * TILE_PIXELS
-    state = np.empty(first_other + others * other_size, np.float32)
+    kind = records.dtype
+    state = np.empty(first_other + others * other_size, kind)
     live = np.empty(1 + others, np.int64)
     reached = np.empty(_STRETCH, np.int32)
     members = np.empty((1 + others, _STRETCH // 64), np.int64)
-    pixels = bank(planes, np.empty(size, np.float32), lanes)
-    own_pixels = bank(own_planes, np.empty(own_size, np.float32), lanes)
+    pixels = bank(planes, np.empty(size, kind), lanes)
+    own_pixels = bank(own_planes, np.empty(own_size, kind), lanes)
     number = numbers(constants, lanes)
     while True:
         tile = take(turn)
@@ -292,15 +291,16 @@ def blend(
 @kernel
 def median_depths(
     turn, starts, gaussians, blocks, own_blocks, records, stride, depth, width, height, own_pictures, alone,
-    constants, count,
+    constants, lanes,
 ):  # fmt: skip
     """Camera depth at which each pixel's transmittance first falls to one half; 0 where it never does.
 
     A plain loop over pixels: nobody differentiates it, and it is made only when asked for. Runs after blend.
     """
+    count = len(lanes)
     columns = (width + TILE - 1) // TILE
     sets = 1 if alone is None else 1 + alone
-    cut = constants[7 * count]
+    cut = constants[CUT * count]
     while True:
         tile = take(turn)
         if tile >= len(starts) - 1:
@@ -309,7 +309,7 @@ def median_depths(
         for picture in range(sets):
             for row in range(top, min(top + TILE, height)):
                 for column in range(left, min(left + TILE, width)):
-                    before, found = ONE, ZERO
+                    before, found = 1.0, ZERO
                     for entry in range(starts[tile], starts[tile + 1]):
                         r = gaussians[entry] * stride
                         shown = blocks[entry] != 0
@@ -324,8 +324,8 @@ def median_depths(
                         exponent = records[r + LOG_OPACITY] - u * u - v * v
                         if exponent < cut:
                             continue
-                        before *= ONE - min(np.float32(2.0**exponent), np.float32(ALPHA_MAX))
-                        if before <= np.float32(0.5):
+                        before *= 1.0 - min(2.0**exponent, ALPHA_MAX)
+                        if before <= 0.5:
                             found = records[r + DEPTH]
                             break
                     depth[(picture * height + row) * width + column] = found

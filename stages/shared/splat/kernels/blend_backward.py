@@ -44,7 +44,6 @@ from stages.shared.splat.kernels.memory import (
     prefetch_to_write,
     put,
     set_at,
-    spread,
     store,
     take,
 )
@@ -145,12 +144,13 @@ def blend_backward(
     others = 0 if alone is None else alone
     planes, own_planes = _PLANES + length(channels), _PLANES + length(alone_channels)
     first_other, other_size = planes * TILE_PIXELS, own_planes * TILE_PIXELS
-    state = np.empty(first_other + others * other_size, np.float32)
-    places = np.empty(2 * TILE_PIXELS, np.float32)
-    grads = bank(slot, np.empty(length(slot) * count, np.float32), lanes)
+    kind = records.dtype
+    state = np.empty(first_other + others * other_size, kind)
+    places = np.empty(2 * TILE_PIXELS, kind)
+    grads = bank(slot, np.empty(length(slot) * count, kind), lanes)
     number = numbers(constants, lanes)
     lane_x, lane_y = load(constants, NUMBERS * count, lanes), load(constants, (NUMBERS + 1) * count, lanes)
-    zero = spread(ZERO, lanes)
+    zero = load(np.zeros(count, kind), 0, lanes)
     while True:
         tile = take(turn)
         if tile >= tiles:

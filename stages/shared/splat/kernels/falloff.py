@@ -5,6 +5,11 @@ They must take the same decisions at the cut-offs bit for bit, so there is one c
 
 from __future__ import annotations
 
+import math
+
+from numba import types
+from numba.extending import overload
+
 from stages.shared.splat.kernels.compiling import inlined
 from stages.shared.splat.kernels.lanes import fma, magnitude, minimum, negative, scale_by_low_bits, where
 from stages.shared.splat.kernels.layout import (
@@ -24,6 +29,8 @@ from stages.shared.splat.kernels.memory import at, load, spread
 # mypy: ignore-errors
 # (compiled and type-checked by numba)
 
+LN2 = math.log(2.0)
+
 
 @inlined
 def numbers(constants, lanes):
@@ -37,11 +44,44 @@ def numbers(constants, lanes):
     )  # fmt: skip
 
 
+def power(exponent, number):
+    """2^exponent: relative error 2.1e-7 in float32, under 1e-15 in float64; garbage far below the cut-off."""
+    raise RuntimeError("for compiled code only")
+
+
+@overload(power, jit_options={"forceinline": True, "error_model": "numpy"})
+def _choose_power(exponent, number):
+    if exponent.element == types.float32:
+        return lambda exponent, number: _power_of_single(exponent, number)
+    return lambda exponent, number: _power_of_double(exponent, number)
+
+
+@inlined
+def _power_of_single(exponent, number):
+    shifted = exponent + number[0]
+    fraction = exponent - (shifted - number[0])
+    square = fraction * fraction
+    low, middle = fma(number[2], fraction, number[1]), fma(number[4], fraction, number[3])
+    high = fma(number[6], fraction, number[5])
+    return scale_by_low_bits(fma(fma(high, square, middle), square, low), shifted)
+
+
+@inlined
+def _power_of_double(exponent, number):
+    """The series of e^x at x = fraction ln 2, |x| < 0.35: the fifteenth term is under 1e-18."""
+    shifted = exponent + number[0]
+    x = (exponent - (shifted - number[0])) * LN2
+    sum_ = x * 0.0 + 1.0
+    for k in range(14, 0, -1):
+        sum_ = fma(sum_, x * (1.0 / k), 1.0)
+    return scale_by_low_bits(sum_, shifted)
+
+
 @inlined
 def falloff(pixel_x, pixel_y, records, record, number, lanes):
     """(X, Y, u, v, power of two, alpha, which lanes reach the cut); alpha is 0 where they do not.
 
-    power = 2^(log_opacity - u^2 - v^2), relative error under 1e-6; garbage far outside the Gaussian.
+    The power is 2^(log_opacity - u^2 - v^2); garbage far outside the Gaussian.
     """
     x, y = pixel_x - at(records, record + WHOLE_X), pixel_y - at(records, record + WHOLE_Y)
     ux, u_y = spread(at(records, record + UX), lanes), spread(at(records, record + UY), lanes)
@@ -49,13 +89,8 @@ def falloff(pixel_x, pixel_y, records, record, number, lanes):
     v = fma(spread(at(records, record + VY), lanes), y, spread(at(records, record + V0), lanes))
     exponent = fma(negative(u), u, fma(negative(v), v, spread(at(records, record + LOG_OPACITY), lanes)))
     keep = exponent >= number[7]
-    shifted = exponent + number[0]
-    fraction = exponent - (shifted - number[0])
-    square = fraction * fraction
-    low, middle = fma(number[2], fraction, number[1]), fma(number[4], fraction, number[3])
-    high = fma(number[6], fraction, number[5])
-    power = scale_by_low_bits(fma(fma(high, square, middle), square, low), shifted)
-    return x, y, u, v, power, where(keep, minimum(power, number[8]), 0.0), keep
+    raised = power(exponent, number)
+    return x, y, u, v, raised, where(keep, minimum(raised, number[8]), 0.0), keep
 
 
 @inlined

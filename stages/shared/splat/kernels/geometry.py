@@ -29,9 +29,10 @@ from stages.shared.splat.kernels.memory import at, load, set_at, store
 # mypy: ignore-errors
 # (compiled and type-checked by numba)
 
-# A camera is 24 doubles: R (9), t (3), fx fy cx cy, limits of x/z and y/z (4), near, far, eps2d, antialiased.
-R, T, FX, FY, CX, CY, LEFT, RIGHT, TOP, BOTTOM, NEAR, FAR, EPS2D, ANTIALIASED = (
-    0, 9, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 23,
+# A camera is 25 doubles: R (9), t (3), fx fy cx cy, limits of x/z and y/z (4), near, far, eps2d, antialiased,
+# log2 of the least alpha.
+R, T, FX, FY, CX, CY, LEFT, RIGHT, TOP, BOTTOM, NEAR, FAR, EPS2D, ANTIALIASED, CUT = (
+    0, 9, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 23, 24,
 )  # fmt: skip
 
 WIDE = 8

@@ -272,11 +272,13 @@ def total(typingctx: Any, a: Any) -> Any:
 
 @intrinsic
 def scale_by_low_bits(typingctx: Any, a: Any, n: Any) -> Any:
-    """a times 2^k, k the integer that the low bits of the float n hold: added to the exponent bits of a."""
+    """a times 2^k, k the integer that the low bits of n hold: added to the exponent bits of a."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        integers = ir.VectorType(I32, sig.return_type.count)
-        low = builder.shl(builder.bitcast(args[1], integers), ir.Constant(integers, [23] * integers.count))
+        word, mantissa = (I32, 23) if sig.return_type.element == types.float32 else (I64, 52)
+        integers = ir.VectorType(word, sig.return_type.count)
+        place = ir.Constant(integers, [mantissa] * integers.count)
+        low = builder.shl(builder.bitcast(args[1], integers), place)
         scaled = builder.add(builder.bitcast(args[0], integers), low)
         return builder.bitcast(scaled, sig.return_type.ir_type)
 

@@ -13,7 +13,7 @@ import math
 import llvmlite.binding
 import numpy as np
 
-from stages.shared.splat.settings import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
+from stages.shared.splat.settings import ALPHA_MAX, SplatSettings
 
 TILE = 16
 TILE_SHIFT = 4
@@ -21,7 +21,7 @@ TILE_PIXELS = TILE * TILE
 BLOCK_WIDTH = 4
 BLOCKS_ACROSS = TILE // BLOCK_WIDTH
 
-# A record is what blending needs of one Gaussian, float32. The centre is split into a whole number of pixels
+# A record is what blending needs of one Gaussian. The centre is split into a whole number of pixels
 # (exact, so that wide pictures lose no digits) and a rest that is folded into U0 and V0: with X, Y the pixel
 # relative to the whole part, u = UX X + UY Y + U0, v = VY Y + V0, alpha = 2^(LOG_OPACITY - u^2 - v^2).
 WHOLE_X, WHOLE_Y, UX, UY, U0, VY, V0, LOG_OPACITY, DEPTH, COLOR = range(10)
@@ -41,9 +41,9 @@ SPECIALISED_CHANNELS = range(1, 9)
 
 
 @functools.cache
-def host_lanes() -> int:
-    """Float lanes of the host's registers: 16 with AVX-512, else 8 (LLVM splits them where it must)."""
-    return 16 if llvmlite.binding.get_host_cpu_features().get("avx512f") else 8
+def host_lanes(precision: str = "single") -> int:
+    """Lanes of the host's registers: 16 floats with AVX-512, else 8 (LLVM splits them where it must)."""
+    return 16 if precision == "single" and llvmlite.binding.get_host_cpu_features().get("avx512f") else 8
 
 
 def lanes_argument(count: int) -> tuple[int, ...]:
@@ -67,31 +67,36 @@ def slot_length(channels: int, lanes: int) -> int:
 
 
 # The constants of the blending kernels come in an array: numbers in registers instead of in the code.
-# Powers of two: rounding shift, coefficients of 2^f (minimax of degree 5 on [-1/2, 1/2], relative error with
-# rounding 2.1e-7); then the cut-off, in log2, the largest alpha, the smallest transmittance.
-_NUMBERS = (
-    12582912.0,  # 1.5 * 2^23: adding it rounds to an integer, which the low bits then hold
-    1.0000001, 0.69314694, 0.2402212, 0.055507135, 0.009675542, 0.0013276464,
-    math.log2(ALPHA_MIN), ALPHA_MAX, TRANSMITTANCE_MIN,
-)  # fmt: skip
+# For powers of two: the number that rounds to an integer, which its low bits then hold, when added (1.5 times
+# 2^23, or 2^52), and coefficients of 2^f for float32 (minimax of degree 5 on [-1/2, 1/2], relative error with
+# rounding 2.1e-7; doubles take a longer series). Then the cut-off, in log2, the largest alpha, the stop.
+_ROUNDING = {np.dtype(np.float32): 1.5 * 2.0**23, np.dtype(np.float64): 1.5 * 2.0**52}
+_POWER = (1.0000001, 0.69314694, 0.2402212, 0.055507135, 0.009675542, 0.0013276464)
+NUMBERS = 10
+CUT = 7
+"""Place of the cut-off among the numbers."""
 
 
 @functools.cache
-def constants(lanes: int) -> np.ndarray:
-    """float32: the numbers above, each `lanes` times; x, then y, of the lanes' pixel centres in a block (px).
+def constants(lanes: int, settings: SplatSettings = SplatSettings()) -> np.ndarray:
+    """The numbers above, each `lanes` times; x, then y, of the lanes' pixel centres in a block (px).
 
-    Then x, then y, of the middles of the tile's blocks.
+    Then x, then y, of the middles of the tile's blocks. In the type that the pictures are computed in.
     """
+    kind = element_type(settings)
     lane, block = np.arange(lanes), np.arange(TILE_PIXELS // lanes)
     block_height = lanes // BLOCK_WIDTH
+    cuts = (math.log2(settings.alpha_min), ALPHA_MAX, settings.transmittance_min)
     rows = (
-        np.repeat(_NUMBERS, lanes),
+        np.repeat((_ROUNDING[kind], *_POWER, *cuts), lanes),
         lane % BLOCK_WIDTH + 0.5,
         lane // BLOCK_WIDTH + 0.5,
         (block % BLOCKS_ACROSS + 0.5) * BLOCK_WIDTH,
         (block // BLOCKS_ACROSS + 0.5) * block_height,
     )
-    return np.concatenate(rows).astype(np.float32)
+    return np.concatenate(rows).astype(kind)
 
 
-NUMBERS = len(_NUMBERS)
+def element_type(settings: SplatSettings) -> np.dtype:
+    """What records, pictures and gradient slots are made of."""
+    return np.dtype(np.float64 if settings.precision == "double" else np.float32)

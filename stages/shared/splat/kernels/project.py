@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from stages.shared.splat.kernels.compiling import inlined, kernel
 from stages.shared.splat.kernels.geometry import (
     ANTIALIASED,
     BOTTOM,
+    CUT,
     CX,
     CY,
     EPS2D,
@@ -56,7 +55,7 @@ from stages.shared.splat.kernels.layout import (
     WHOLE_Y,
 )
 from stages.shared.splat.kernels.memory import at, set_at, take
-from stages.shared.splat.settings import ALPHA_MIN, SHORTEST_QUATERNION
+from stages.shared.splat.settings import SHORTEST_QUATERNION
 
 # mypy: ignore-errors
 # (compiled and type-checked by numba)
@@ -64,7 +63,6 @@ from stages.shared.splat.settings import ALPHA_MIN, SHORTEST_QUATERNION
 REFUSED = np.int32(-1)
 """In `counts`: the Gaussian's numbers cannot be rendered."""
 
-_LOG2_CUT = math.log2(ALPHA_MIN)
 _MARGIN = 1e-3
 """px added to every side of the box, for the rounding of records to float32."""
 
@@ -124,7 +122,7 @@ def project(
                 top, bottom = at(table, _O_TOP * GROUP + j), at(table, _O_BOTTOM * GROUP + j)
                 record = g * stride
                 for k in range(_RECORD):
-                    set_at(records, record + k, np.float32(at(table, (FIRST_FREE + k) * GROUP + j)))
+                    set_at(records, record + k, at(table, (FIRST_FREE + k) * GROUP + j))
                 set_at(depths, g, at(records, record + DEPTH))
                 for c in range(channels):
                     set_at(records, record + COLOR + c, at(colors, g * channels + c))
@@ -159,7 +157,7 @@ def _project_lanes(table, place, camera, covars, width, height):
         opacity = opacity * root(sharp / determinant)
     log_opacity = log2(maximum(opacity, 1e-30))
     # u^2 + v^2 <= reach is the ellipse on which alpha falls to the cut.
-    reach = log_opacity - _LOG2_CUT
+    reach = log_opacity - camera[CUT]
     sides = maximum(reach, 0.0) * (1.0 / HALF_LOG2E)
     across, down = root(sides * xx) + _MARGIN, root(sides * yy) + _MARGIN
     left = maximum(0.0 - floor(0.0 - (center_x - across - 0.5)), 0.0)

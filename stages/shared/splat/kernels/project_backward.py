@@ -52,7 +52,7 @@ from stages.shared.splat.kernels.layout import (
     SUM_HV,
     SUM_HVY,
 )
-from stages.shared.splat.kernels.memory import at, bank, get, length, load, put, set_at, spread, store, take
+from stages.shared.splat.kernels.memory import at, bank, get, length, load, put, set_at, store, take
 
 # mypy: ignore-errors
 # (compiled and type-checked by numba)
@@ -84,8 +84,9 @@ def project_backward(
     n = len(opacities)
     parts = length(slot) // len(lanes)
     table = np.zeros(_BACKWARD_ROWS * GROUP, np.float64)
-    collected = np.empty(GROUP * length(slot), np.float32)
-    whole = bank(slot, np.empty(length(slot), np.float32), lanes)
+    collected = np.empty(GROUP * length(slot), sums.dtype)
+    whole = bank(slot, np.empty(length(slot), sums.dtype), lanes)
+    zero = load(np.zeros(len(lanes), sums.dtype), 0, lanes)
     of_camera = np.empty(CAMERA_GRADIENTS * WIDE, np.float64)
     per_turn = GROUP * GROUPS_PER_TURN
     while True:
@@ -101,7 +102,7 @@ def project_backward(
                 g = group + j
                 any_seen |= at(counts, g) > 0
                 for k in range(parts):
-                    put(whole, k, spread(np.float32(0.0), lanes))
+                    put(whole, k, zero)
                 first, last = np.int64(at(first_slots, g)), np.int64(at(first_slots, g + 1))
                 for place in range(first * length(slot), last * length(slot), length(slot)):
                     for k in range(parts):
@@ -141,22 +142,22 @@ def _scatter(table, group, count, add, g_means, g_quats, g_scales, g_covars, g_o
     for j in range(count):
         g = group + j
         for k in range(3):
-            _give(g_means, 3 * g + k, np.float32(at(table, (_G_MEAN + k) * GROUP + j)), add)
+            _give(g_means, 3 * g + k, at(table, (_G_MEAN + k) * GROUP + j), add)
         if g_quats is not None:
             for k in range(4):
-                _give(g_quats, 4 * g + k, np.float32(at(table, (_G_SHAPE + k) * GROUP + j)), add)
+                _give(g_quats, 4 * g + k, at(table, (_G_SHAPE + k) * GROUP + j), add)
             for k in range(3):
-                _give(g_scales, 3 * g + k, np.float32(at(table, (_G_SHAPE + 4 + k) * GROUP + j)), add)
+                _give(g_scales, 3 * g + k, at(table, (_G_SHAPE + 4 + k) * GROUP + j), add)
         if g_covars is not None:
             place = _G_SHAPE * GROUP + j
             for row in range(3):
                 for column in range(row, 3):
-                    value = np.float32(at(table, place))
+                    value = at(table, place)
                     _give(g_covars, 9 * g + 3 * row + column, value, add)
                     if row != column:
                         _give(g_covars, 9 * g + 3 * column + row, value, add)
                     place += GROUP
-        _give(g_opacities, g, np.float32(at(table, _G_OPACITY * GROUP + j)), add)
+        _give(g_opacities, g, at(table, _G_OPACITY * GROUP + j), add)
 
 
 @inlined

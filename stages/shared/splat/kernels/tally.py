@@ -9,6 +9,7 @@ from stages.shared.splat.kernels.compiling import kernel
 from stages.shared.splat.kernels.falloff import block_corner
 from stages.shared.splat.kernels.layout import (
     BLOCK_WIDTH,
+    CUT,
     LOG_OPACITY,
     TILE,
     TILE_PIXELS,
@@ -32,7 +33,7 @@ def tally(turn, starts, gaussians, records, stride, width, height, constants, la
     """found (tiles, 2): pixels blended with a Gaussian, and blocks evaluated, of every tile."""
     count = len(lanes)
     columns = (width + TILE - 1) // TILE
-    cut = constants[7 * count]
+    cut = constants[CUT * count]
     before = np.empty(TILE_PIXELS, np.float32)
     while True:
         tile = take(turn)

@@ -18,9 +18,7 @@ from tests.shared.outfit.wardrobe import motion
 FOLDER = Path(__file__).parent
 KNOWN = json.loads((FOLDER / "bundles.json").read_text())
 CURRENT = f"{SCHEMA['major']}.{SCHEMA['minor']}"
-BODY, UPPER, HALF, DRESS = (
-    FOLDER / f"{name}-1.1.gwg" for name in ("body", "garment-f32", "garment-f16", "dress")
-)
+BODY, UPPER, HALF = (FOLDER / f"{name}-1.1.gwg" for name in ("body", "garment-f32", "garment-f16"))
 
 
 def test_they_are_all_there_and_small() -> None:
@@ -48,9 +46,9 @@ def test_half_precision_is_the_rounded_whole() -> None:
 
 
 def test_they_can_be_worn() -> None:
-    for garment in (UPPER, HALF, DRESS):
+    for garment in (UPPER, HALF):
         outfit = outfit_of_bundles([(path.name, read_bundle(path)) for path in (BODY, garment)])
         composite = outfit.composite(motion(), 2)
         assert torch.isfinite(composite.means).all() and len(outfit.layers) == 2
     assert layer_of_bundle(read_bundle(BODY)).skin is not None
-    assert layer_of_bundle(read_bundle(DRESS)).slots == ("lower", "upper")
+    assert layer_of_bundle(read_bundle(HALF)).slots == ("upper", "outer")

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from gw_cli.console import Console, command
-from gw_cli.options import DryRun, Force, Json, Preset, Subject, preset_config
+from gw_cli.options import DryRun, Force, Json, Preset, Subject, names, preset_config
+from stages.shared.errors import UsageProblem
 
 
 def register(app: typer.Typer) -> None:
@@ -20,6 +22,9 @@ def register(app: typer.Typer) -> None:
             list[Path] | None,
             typer.Option("--poses", help="Motions beyond the training's to be faithful in; repeatable."),
         ] = None,
+        ranks: Annotated[
+            str, typer.Option(help="At most so many bases for offsets, colours and form, e.g. 16,6,4.")
+        ] = "",
         preset: Preset = "draft",
         force: Force = False,
         dry_run: DryRun = False,
@@ -36,9 +41,21 @@ def register(app: typer.Typer) -> None:
 
         console = Console(as_json)
         config = preset_config(PRESETS, preset)
+        if ranks:
+            config = replace(config, most=_ranks(ranks))
         if dry_run:
             console.plan(stage.plan(subject, config))
             return
         result = stage.run(subject, config, console, force, tuple(poses or ()))
         following = f"gw export-garment {subject} --layer body --distilled -o body.gwg"
         console.result(result.summary, next_command=following)
+
+
+def _ranks(text: str) -> tuple[int, int, int]:
+    parts = names(text)
+    if len(parts) != 3 or not all(part.isdecimal() and 1 <= int(part) <= 256 for part in parts):
+        raise UsageProblem(
+            f"{text!r} are no numbers of bases.", "option --ranks", "Give three from 1 to 256, as 16,6,4."
+        )
+    offset, color, form = (int(part) for part in parts)
+    return offset, color, form

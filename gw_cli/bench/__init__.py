@@ -7,7 +7,7 @@ import importlib
 import typer
 
 # Modules of this package; the order is the one `gw bench --help` shows.
-SUBCOMMANDS: tuple[str, ...] = ("splat", "tryon", "stability", "playback", "paper", "templates")
+SUBCOMMANDS: tuple[str, ...] = ("splat", "tryon", "stability", "playback", "tradeoff", "paper", "templates")
 
 
 def register(app: typer.Typer) -> None:

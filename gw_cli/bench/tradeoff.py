@@ -1,0 +1,63 @@
+"""`gw bench tradeoff`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gw_cli.console import Console, command
+from gw_cli.options import DryRun, Json, Preset, Seed, names
+from stages.shared.errors import UsageProblem
+
+
+def register(bench: typer.Typer) -> None:
+    @bench.command("tradeoff")
+    @command
+    def tradeoff(
+        capture: Annotated[Path, typer.Argument(metavar="CAPTURE", help="A capture with held-out cameras.")],
+        output: Annotated[Path, typer.Option("-o", "--output", help="Folder of results.")] = Path("tradeoff"),
+        minutes: Annotated[
+            float, typer.Option(min=0.1, help="Of training, over all pitches together.")
+        ] = 24.0,
+        pitches: Annotated[
+            str, typer.Option(help="Millimetres per texel, each trained once; default 6.5,9,13,20.")
+        ] = "",
+        body_model: Annotated[Path | None, typer.Option(help="As in gw register-template.")] = None,
+        size: Annotated[
+            int, typer.Option(min=16, max=4096, help="Pixels of the pictures that are timed.")
+        ] = 512,
+        preset: Preset = "draft",
+        seed: Seed = 0,
+        dry_run: DryRun = False,
+        as_json: Json = False,
+    ) -> None:
+        """Measure the trade of speed for accuracy on one capture, and draw its front.
+
+        For every pitch the subject is trained once; its networks, blendshapes distilled from them, and few
+        blendshapes are then played, scored and weighed. `gw tryon --tradeoff FOLDER --fps 25` or
+        `--quality 0.3` choose among the points.
+        """
+        from stages.bench_tradeoff import stage
+        from stages.bench_tradeoff.config import BenchTradeoffConfig
+
+        console = Console(as_json)
+        config = BenchTradeoffConfig(minutes=minutes, preset=preset, size=size, seed=seed)
+        if pitches:
+            config = replace(config, pitches=_pitches(pitches))
+        if dry_run:
+            console.plan(stage.plan(capture, output, config))
+            return
+        result = stage.run(capture, output, config, console, body_model)
+        console.result({"path": result.path, **result.summary})
+
+
+def _pitches(text: str) -> tuple[float, ...]:
+    try:
+        return tuple(float(part) for part in names(text))
+    except ValueError:
+        raise UsageProblem(
+            f"{text!r} are no pitches.", "option --pitches", "Give millimetres, as 6.5,13."
+        ) from None

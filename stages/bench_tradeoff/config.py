@@ -1,0 +1,46 @@
+"""Settings of `gw bench tradeoff`; light."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Decoder:
+    """How a trained subject is played: its networks, or blendshapes with at most so many bases.
+
+    Attributes:
+        name: in tables. ranks: for offsets, colours and form; None for the networks.
+    """
+
+    name: str
+    ranks: tuple[int, int, int] | None
+
+
+NETWORKS = Decoder("networks", None)
+DECODERS = (NETWORKS, Decoder("blendshapes", (32, 12, 8)), Decoder("few blendshapes", (4, 1, 1)))
+
+
+@dataclass(frozen=True)
+class BenchTradeoffConfig:
+    """Which operating points are measured.
+
+    Attributes:
+        minutes: of training, over all pitches together.
+        preset: of every stage.
+        pitches: millimetres per texel; each is trained once.
+        decoders: each is played and scored for every pitch.
+        size: pixels, width and height of the pictures that are timed. frames: how many are timed.
+        frame_step, test_frame_step: of the views that are scored, as in `gw evaluate`.
+        seed: of the trainings.
+    """
+
+    minutes: float = 24.0
+    preset: str = "draft"
+    pitches: tuple[float, ...] = (6.5, 9.0, 13.0, 20.0)
+    decoders: tuple[Decoder, ...] = DECODERS
+    size: int = 512
+    frames: int = 40
+    frame_step: int = 10
+    test_frame_step: int = 2
+    seed: int = 0

@@ -1,0 +1,180 @@
+"""The dial, measured: how good, how fast, how large, for pitches and decoders of one capture.
+
+Reads:
+    a capture (as `gw register-template` does).
+Writes, into the output folder:
+    subject/: the workspace of all trainings. points/NAME/: bundles of an operating point, its evaluation.
+    tradeoff.json: every point; tradeoff.html, tradeoff.png, table.md: the picture and the table.
+
+Every step is a `gw` command in a process of its own; what is done already is not done again.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from stages.bench_tradeoff.config import BenchTradeoffConfig, Decoder
+from stages.bench_tradeoff.figure import markdown, tradeoff_page, tradeoff_picture
+from stages.bench_tradeoff.front import OperatingPoint, on_front
+from stages.shared.artifacts import write_whole
+from stages.shared.artifacts.canonical import readable_json
+from stages.shared.artifacts.pictures import encode_png
+from stages.shared.commands import run_command
+from stages.shared.errors import BadData, MissingInput, UsageProblem
+from stages.shared.plan import Plan
+from stages.shared.report import SILENT, Report
+
+RESULT_NAME = "tradeoff.json"
+_SCORES = ("psnr_foreground", "ssim_foreground", "miou", "sharpness")
+
+
+@dataclass(frozen=True)
+class BenchTradeoffResult:
+    """The folder, and the points."""
+
+    path: Path
+    summary: dict[str, Any]
+
+
+def run(
+    capture: Path,
+    output: Path,
+    config: BenchTradeoffConfig = BenchTradeoffConfig(),
+    report: Report = SILENT,
+    body_model: Path | None = None,
+) -> BenchTradeoffResult:
+    """Train at every pitch, play with every decoder, and draw what that gives.
+
+    Raises:
+        UsageProblem: nothing to measure. BadData: a command failed; its own message is passed on.
+    """
+    if not config.pitches or not config.decoders or config.minutes <= 0:
+        raise UsageProblem("There is nothing to measure.", "options", "Give minutes and pitches.")
+    capture, output = capture.resolve(), output.resolve()
+    subject = output / "subject"
+    report.step("template")
+    given = ["--body-model", body_model.resolve()] if body_model else []
+    run_command("register-template", capture, "-o", subject, *given)
+    for command in ("canonicalize", "segment-layers"):
+        run_command(command, subject, "--preset", config.preset)
+    points: list[OperatingPoint] = []
+    for pitch in config.pitches:
+        report.step(f"training at {pitch:g} mm")
+        layers, minutes = _train(subject, pitch, config)
+        for decoder in config.decoders:
+            report.step(f"{decoder.name} at {pitch:g} mm")
+            points.append(_measure(subject, output, pitch, decoder, layers, minutes, config))
+            report.say(f"{points[-1].frames_per_second:.1f} frames/s, {points[-1].psnr_foreground:.2f} dB")
+            _write(output, capture.name, points, config)
+    return BenchTradeoffResult(output, json.loads((output / RESULT_NAME).read_bytes()))
+
+
+def plan(capture: Path, output: Path, config: BenchTradeoffConfig = BenchTradeoffConfig()) -> Plan:
+    """What `run` would cost; the measuring of a point is taken as a minute."""
+    points = len(config.pitches) * len(config.decoders)
+    return Plan(
+        inputs=[str(capture)],
+        outputs=[str(output / name) for name in (RESULT_NAME, "tradeoff.html", "tradeoff.png", "table.md")],
+        config=asdict(config),
+        seconds=60.0 * (config.minutes + points),
+        memory_bytes=2_000_000_000,
+        disk_bytes=points * 60_000_000,
+    )
+
+
+def read_points(folder: Path) -> list[OperatingPoint]:
+    """The points that a bench left in its folder.
+
+    Raises:
+        MissingInput: there are none. BadData: they cannot be read.
+    """
+    path = folder / RESULT_NAME
+    if not path.is_file():
+        raise MissingInput("There are no measured operating points.", str(path), "Run gw bench tradeoff.")
+    try:
+        content = json.loads(path.read_bytes())["points"]
+    except (ValueError, KeyError, TypeError):
+        raise BadData("The file cannot be read.", str(path), "Run gw bench tradeoff again.") from None
+    if not isinstance(content, list) or not content:
+        raise BadData("The file has no points.", str(path), "Run gw bench tradeoff again.")
+    return [OperatingPoint.from_dict(point, str(path)) for point in content]
+
+
+def bundles_of(folder: Path, point: OperatingPoint) -> list[Path]:
+    """The bundle files of a point."""
+    return sorted((folder / "points" / point.name).glob("*.gwg"))
+
+
+def _train(subject: Path, pitch: float, config: BenchTradeoffConfig) -> tuple[list[str], float]:
+    """Bake and train at a pitch; the layers, and the minutes that training was given."""
+    run_command("bake-maps", subject, "--preset", config.preset, "--pitch", f"{pitch:g}")
+    minutes = config.minutes / len(config.pitches)
+    trained = run_command(
+        "train", subject, "--preset", config.preset, "--minutes", f"{minutes:g}", "--seed", str(config.seed)
+    )
+    return list(trained.result["layers"]), minutes
+
+
+def _measure(
+    subject: Path,
+    output: Path,
+    pitch: float,
+    decoder: Decoder,
+    layers: Sequence[str],
+    minutes: float,
+    config: BenchTradeoffConfig,
+) -> OperatingPoint:
+    """Export, play and score one point."""
+    name = f"{pitch:g} mm {decoder.name}".replace(" ", "-")
+    folder, distilled = output / "points" / name, decoder.ranks is not None
+    folder.mkdir(parents=True, exist_ok=True)
+    if decoder.ranks is not None:
+        ranks = ",".join(str(rank) for rank in decoder.ranks)
+        run_command("distill", subject, "--preset", config.preset, "--ranks", ranks)
+    bundles = [folder / f"{layer}.gwg" for layer in layers]
+    for layer, bundle in zip(layers, bundles, strict=True):
+        flags = ["--distilled"] if distilled else []
+        run_command("export-garment", subject, "--layer", layer, *flags, "-o", bundle)
+    played = run_command(
+        "bench", "playback", *bundles, "--poses", subject / "smpl_params.npz",
+        "--size", str(config.size), "--frames", str(config.frames),
+    )  # fmt: skip
+    method = "distilled" if distilled else "trained"
+    scored = run_command(
+        "evaluate", subject, "-o", folder / "evaluation", "--methods", method,
+        "--frame-step", str(config.frame_step), "--test-frame-step", str(config.test_frame_step),
+    )  # fmt: skip
+    views = {split: scored.result[split][method] for split in ("novel_view", "novel_pose")}
+    return OperatingPoint(
+        name=name,
+        pitch=pitch,
+        decoder=decoder.name,
+        gaussians=played.result["gaussians"],
+        **{score: views["novel_view"][score] for score in _SCORES},
+        novel_pose={score: views["novel_pose"][score] for score in _SCORES},
+        frames_per_second=played.result["frames_per_second"],
+        training_minutes=minutes,
+        bundle_bytes=sum(bundle.stat().st_size for bundle in bundles),
+        peak_bytes=played.peak_bytes,
+    )
+
+
+def _write(output: Path, subject: str, points: Sequence[OperatingPoint], config: BenchTradeoffConfig) -> None:
+    """Everything so far, so that a bench that is stopped leaves what it measured."""
+    front = on_front(points)
+    content = {
+        "format": "gw-tradeoff",
+        "version": 1,
+        "config": asdict(config),
+        "points": [{**point.as_dict(), "on_front": point in front} for point in points],
+    }
+    write_whole(output / RESULT_NAME, readable_json(content))
+    write_whole(output / "table.md", markdown(points, front).encode())
+    write_whole(
+        output / "tradeoff.html", tradeoff_page(points, front, f"Speed for accuracy: {subject}").encode()
+    )
+    write_whole(output / "tradeoff.png", encode_png(tradeoff_picture(points, front)))

@@ -32,8 +32,21 @@ def register(app: typer.Typer) -> None:
             Path | None, typer.Option(help="For a mesh: body model (.npz, SMPL-X convention).")
         ] = None,
         spread: Annotated[
-            str | None, typer.Option(help="wide | inverse | nearest: how skinning weights reach into space.")
+            str | None,
+            typer.Option(
+                help="wide | inverse | undiffused | nearest: how skinning weights reach into space."
+            ),
         ] = None,
+        shape_removal: Annotated[
+            str, typer.Option(help="exact | paper: whether joints move with the shape that is taken out.")
+        ] = "exact",
+        compare: Annotated[
+            bool,
+            typer.Option(
+                "--compare",
+                help="Compare nearest, undiffused and diffused weights; writes only SUBJECT/compare.",
+            ),
+        ] = False,
         preset: Preset = "draft",
         force: Force = False,
         dry_run: DryRun = False,
@@ -45,12 +58,13 @@ def register(app: typer.Typer) -> None:
         with --params the body fit is given, without it the body is fitted to the mesh.
         """
         from stages.canonicalize import stage
-        from stages.canonicalize.config import PRESETS
+        from stages.canonicalize.config import PRESETS, SHAPE_REMOVALS, SPREADS
 
         console = Console(as_json)
         config = preset_config(PRESETS, preset)
         if spread is not None:
-            config = replace(config, spread=_known_spread(spread))
+            config = replace(config, spread=_one_of("--spread", spread, SPREADS))
+        config = replace(config, shape_removal=_one_of("--shape-removal", shape_removal, SHAPE_REMOVALS))
         subject = given
         if given.is_file():
             subject = output or Path(given.stem)
@@ -67,18 +81,22 @@ def register(app: typer.Typer) -> None:
         if dry_run:
             console.plan(stage.plan(subject, config))
             return
+        if compare:
+            from stages.canonicalize import compare as comparison
+
+            compared = comparison.run(subject, subject / "compare", config, console)
+            console.result({"path": compared.path, **compared.summary})
+            return
         result = stage.run(subject, config, console, force)
         console.result(result.summary, next_command=f"gw segment-layers {subject}")
 
 
-def _known_spread(spread: str) -> str:
-    if spread not in ("wide", "inverse", "nearest"):
+def _one_of(option: str, given: str, known: tuple[str, ...]) -> str:
+    if given not in known:
         raise UsageProblem(
-            f"There is no spread called {spread!r}.",
-            "option --spread",
-            "Choose one of: wide, inverse, nearest.",
+            f"There is no way called {given!r}.", f"option {option}", f"Choose one of: {', '.join(known)}."
         )
-    return spread
+    return given
 
 
 def _register_mesh(

@@ -19,6 +19,9 @@ def register(bench: typer.Typer) -> None:
         output: Annotated[
             Path, typer.Option("-o", "--output", help="Folder for the workspace, the rows and the table.")
         ] = Path("bench_templates"),
+        body_model: Annotated[
+            Path | None, typer.Option(help="Body model of the poses; default: the capture's.")
+        ] = None,
         fit: Annotated[
             bool, typer.Option(help="Also fit the body to the first scan without its parameters.")
         ] = True,
@@ -39,7 +42,7 @@ def register(bench: typer.Typer) -> None:
 
         console = Console(as_json)
         config = BenchTemplatesConfig(preset, fit, camera_step, frame_step)
-        result = stage.run(capture, output, config, console)
+        result = stage.run(capture, output, config, console, body_model)
         if as_json:
             console.result({"path": result.path, **result.summary})
             return

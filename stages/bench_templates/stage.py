@@ -81,15 +81,16 @@ def run(
     output: Path,
     config: BenchTemplatesConfig = BenchTemplatesConfig(),
     report: Report = SILENT,
+    body_model: Path | None = None,
 ) -> BenchTemplatesResult:
-    """Make the capture's template and measure it.
+    """Make the capture's template and measure it; `body_model` as for `gw register-template`.
 
     Raises:
         BadData: one of the commands failed.
     """
     subject = output / "subject"
     output.mkdir(parents=True, exist_ok=True)
-    costs = _make(capture, subject, config, report)
+    costs = _make(capture, subject, config, report, body_model)
     workspace = Workspace(subject)
     body = BodyModel.from_arrays(workspace.require(REGISTER_TEMPLATE).arrays("body"))
     opened = open_subject_capture(workspace, body)
@@ -110,14 +111,15 @@ def run(
 
 
 def _make(
-    capture: Path, subject: Path, config: BenchTemplatesConfig, report: Report
+    capture: Path, subject: Path, config: BenchTemplatesConfig, report: Report, body_model: Path | None
 ) -> dict[str, dict[str, float]]:
     """Run the four commands where they are not done; seconds and peak bytes of each, from its run record."""
     preset = ("--preset", config.preset)
+    given = () if body_model is None else ("--body-model", body_model)
     costs = {}
     for spec in _STAGES:
         report.step(f"gw {spec.name}")
-        first = (capture, "-o", subject) if spec is REGISTER_TEMPLATE else (subject,)
+        first = (capture, "-o", subject, *given) if spec is REGISTER_TEMPLATE else (subject,)
         run_command(spec.name, *first, *preset)
         record = Workspace(subject).require(spec).run
         costs[spec.name] = {"seconds": record["seconds"], "peak_bytes": record["peak_bytes"]}

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+SPREADS = ("wide", "inverse", "undiffused", "nearest")
+SHAPE_REMOVALS = ("exact", "paper")
+
 
 @dataclass(frozen=True)
 class CanonicalizeConfig:
@@ -12,7 +15,7 @@ class CanonicalizeConfig:
     Attributes:
         resolution: nodes along each side of the voxel grid of skinning weights and shape directions.
         spread: how body values spread into space: "wide" (keeps loose garments whole), "inverse" (the
-            paper's released code) or "nearest".
+            paper's released code), "undiffused" (the same without averaging) or "nearest".
         reach_per_distance: for "wide": growth of the smoothing length per metre of distance from the skin.
         shape_removal: "exact" (joints move with the shape) or "paper" (rotated vertex offsets only).
         tear_growth: an edge that grows by more than this factor from world to canonical is torn.

@@ -32,11 +32,16 @@ def cut_tears(
     Arguments:
         faces: (F, 3). before, after: (V, 3) metres.
     """
+    factor = edge_growth(faces, before, after, shortest)
+    torn = factor > growth
+    edges = np.sort(np.stack((faces, np.roll(faces, -1, axis=1)), axis=2)[torn], axis=1)
+    kept = faces[~torn.any(axis=1)]
+    return Tears(kept, len(np.unique(edges, axis=0)), len(faces) - len(kept), float(factor.max(initial=0.0)))
+
+
+def edge_growth(faces: np.ndarray, before: np.ndarray, after: np.ndarray, shortest: float) -> np.ndarray:
+    """(F, 3) length of each edge `after` over `before`; 1 where it is not longer than `shortest` metres."""
     ends = faces, np.roll(faces, -1, axis=1)
     length_before = np.linalg.norm(before[ends[0]] - before[ends[1]], axis=2)
     length_after = np.linalg.norm(after[ends[0]] - after[ends[1]], axis=2)
-    factor = np.where(length_after > shortest, length_after / np.maximum(length_before, 1e-6), 1.0)
-    torn = factor > growth
-    edges = np.sort(np.stack(ends, axis=2)[torn], axis=1)
-    kept = faces[~torn.any(axis=1)]
-    return Tears(kept, len(np.unique(edges, axis=0)), len(faces) - len(kept), float(factor.max(initial=0.0)))
+    return np.where(length_after > shortest, length_after / np.maximum(length_before, 1e-6), 1.0)

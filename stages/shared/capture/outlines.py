@@ -1,0 +1,43 @@
+"""How well a moving mesh fills the silhouettes of a take."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from stages.shared.capture.take import Take
+from stages.shared.meshes.raycast import RayScene
+from stages.shared.metrics.silhouette import iou
+
+
+def filmed_frames(take: Take) -> list[int]:
+    """Rows of the take's poses that its first training camera filmed."""
+    first = take.training_cameras[0]
+    return [frame for frame in range(len(take.poses.rotations)) if take.has_image(first, frame)]
+
+
+def outline_agreement(
+    posed: Callable[[int], np.ndarray],
+    faces: np.ndarray,
+    take: Take,
+    frames: Sequence[int],
+    cameras: Sequence[str],
+) -> dict[int, float]:
+    """Mean silhouette IoU of each frame: the mesh rendered through pixel centres against mask > 127.
+
+    Arguments:
+        posed: frame -> vertices (V, 3) m, world. faces: (F, 3).
+    """
+    found = {}
+    for frame in frames:
+        scene = RayScene(posed(frame), faces)
+        scores = [
+            iou(scene.render(take.camera(camera)).hit, take.mask(camera, frame) > 127)
+            for camera in cameras
+            if take.has_image(camera, frame)
+        ]
+        known = [score for score in scores if score is not None]
+        if known:
+            found[frame] = float(np.mean(known))
+    return found

@@ -31,6 +31,19 @@ class ExportGarmentConfig:
     preview_size: int = 256
 
 
+@dataclass(frozen=True)
+class TemplateMeshConfig:
+    """Of the template mesh of a layer.
+
+    Attributes:
+        layer: "body", "lower", "upper" or "outer".
+        own_shape: in the subject's shape; false: of zero shape, as garments are exchanged.
+    """
+
+    layer: str = "lower"
+    own_shape: bool = True
+
+
 PRESETS: dict[str, ExportGarmentConfig] = {
     name: ExportGarmentConfig() for name in ("tiny", "draft", "balanced", "paper")
 }

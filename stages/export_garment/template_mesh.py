@@ -1,0 +1,100 @@
+"""The template mesh of one layer as skinned glTF, for Blender and engines.
+
+Reads:
+    register-template: `body.safetensors` body model; `smpl_params.npz` betas and poses.
+    segment-layers: `<layer>.safetensors` mesh, skin weights, shape directions, colours.
+Writes:
+    one `.glb` (canonical pose, metres, 55 joints) and `NAME.glb.notes.json` about frame, units and losses.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stages.export_garment.config import TemplateMeshConfig
+from stages.pipeline import REGISTER_TEMPLATE, SEGMENT_LAYERS
+from stages.shared.artifacts import Artifact, Workspace
+from stages.shared.body import BodyModel
+from stages.shared.errors import MissingInput, UsageProblem
+from stages.shared.export.notes import write_notes
+from stages.shared.export.skinned_mesh import SkinnedMesh, write_skinned_glb
+from stages.shared.plan import Plan
+from stages.shared.poses.read import load_poses
+from stages.shared.report import SILENT, Report
+
+_ARRAYS = ("vertices", "faces", "skin_weights", "shape_directions", "colors")
+
+
+def run(
+    subject: Path,
+    output: Path,
+    config: TemplateMeshConfig = TemplateMeshConfig(),
+    poses: Path | None = None,
+    report: Report = SILENT,
+) -> dict[str, Any]:
+    """Write mesh and skeleton; returns path, layer, vertices, faces, frames of the animation.
+
+    Arguments:
+        poses: a motion to carry along as an animation of the joints; None for none.
+
+    Raises:
+        UsageProblem: the file is not called .glb. MissingInput: a stage has not run, there is no such layer.
+        BadData: the pose file. StorageFailure: disk full; nothing half-written is left.
+    """
+    registered, segmented = _open(subject, output, config)
+    report.step(f"exporting the mesh of {config.layer}")
+    body = BodyModel.from_arrays(registered.arrays("body.safetensors"))
+    arrays = segmented.arrays(f"{config.layer}.safetensors")
+    mesh = SkinnedMesh(config.layer, *(arrays[name] for name in _ARRAYS))
+    motion = None if poses is None else load_poses(poses, body)
+    betas = np.zeros(10, np.float32)
+    if config.own_shape:
+        betas = load_poses(registered.file("smpl_params.npz"), body).betas
+    write_skinned_glb(output, mesh, body, betas, motion)
+    write_notes(
+        output.with_name(output.name + ".notes.json"),
+        "mesh",
+        "canonical pose" + ("" if config.own_shape else ", zero shape"),
+        layer=config.layer,
+        betas=betas,
+    )
+    return {
+        "mesh": str(output),
+        "layer": config.layer,
+        "vertices": len(mesh.vertices),
+        "faces": len(mesh.faces),
+        "frames": 0 if motion is None else len(motion),
+    }
+
+
+def plan(subject: Path, output: Path, config: TemplateMeshConfig = TemplateMeshConfig()) -> Plan:
+    """What `run` would read, write and cost."""
+    registered, segmented = _open(subject, output, config)
+    size = segmented.file(f"{config.layer}.safetensors").stat().st_size
+    return Plan(
+        inputs=[str(registered.path), str(segmented.path)],
+        outputs=[str(output), f"{output}.notes.json"],
+        config=asdict(config),
+        seconds=2.0,
+        memory_bytes=200_000_000 + 4 * size,
+        disk_bytes=size // 4,
+    )
+
+
+def _open(subject: Path, output: Path, config: TemplateMeshConfig) -> tuple[Artifact, Artifact]:
+    if output.suffix != ".glb":
+        raise UsageProblem("The mesh is written as .glb.", str(output), "Name it so, as --mesh skirt.glb.")
+    workspace = Workspace(subject)
+    registered, segmented = workspace.require(REGISTER_TEMPLATE), workspace.require(SEGMENT_LAYERS)
+    names = segmented.summary["layers"]
+    if config.layer not in names:
+        raise MissingInput(
+            f"This subject has no layer {config.layer!r}.",
+            str(subject),
+            "Choose of: " + ", ".join(names) + ".",
+        )
+    return registered, segmented

@@ -7,7 +7,16 @@ import importlib
 import typer
 
 # Modules of this package; the order is the one `gw bench --help` shows.
-SUBCOMMANDS: tuple[str, ...] = ("splat", "tryon", "stability", "playback", "tradeoff", "paper", "templates")
+SUBCOMMANDS: tuple[str, ...] = (
+    "splat",
+    "tryon",
+    "stability",
+    "playback",
+    "tradeoff",
+    "paper",
+    "curves",
+    "templates",
+)
 
 
 def register(app: typer.Typer) -> None:

@@ -90,7 +90,7 @@ def _rows(subject: Path, folder: Path, config: Any, console: Console, weights: P
         if summary is None:
             summary = stage.run(subject, place, own, console, weights).summary
         seconds = artifact.run.get("training_seconds")
-        scores = {}
+        scores: dict[str, dict[str, float | None]] = {}
         for name in ("novel_pose", "novel_view"):
             if name in summary:
                 scores[name] = summary[name].get("trained_without_first", summary[name]["trained"])

@@ -19,6 +19,7 @@ from stages.train.checkpoint import METRICS_NAME, RunState
 from stages.train.config import TrainConfig
 from stages.train.preview import preview, preview_views
 from stages.train.trainer import StepReport, Trainer
+from stages.train.watch import Watch
 
 _CHECKPOINT_SECONDS = 60.0
 _PREVIEW_SECONDS = 120.0
@@ -26,7 +27,9 @@ _STEPS_PER_LINE = 10
 _MOST_SKIPPED = 3
 
 
-def learn(trainer: Trainer, progress: Progress, state: RunState, report: Report) -> None:
+def learn(
+    trainer: Trainer, progress: Progress, state: RunState, report: Report, watch: Watch | None = None
+) -> None:
     """Steps until the schedule ends; checkpoints, metrics and previews on the way."""
     config = trainer.config
     shown = preview_views(trainer.views, trainer.frames)
@@ -49,7 +52,9 @@ def learn(trainer: Trainer, progress: Progress, state: RunState, report: Report)
                 loss, l1 = _shown(pending)
                 report.progress(*_position(config, state), loss=loss, l1=l1)
                 pending = []
-            state.elapsed += time.monotonic() - started
+            before, state.elapsed = state.elapsed, state.elapsed + time.monotonic() - started
+            if watch is not None:
+                watch.after_step(trainer, state.step, before, state.elapsed)
             if interrupted.is_set() or time.monotonic() - saved > _CHECKPOINT_SECONDS:
                 checkpoint.save(progress, trainer, state)
                 saved = time.monotonic()

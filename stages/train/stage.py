@@ -42,6 +42,7 @@ from stages.train.data import TrainingViews
 from stages.train.loop import learn
 from stages.train.method import MethodLayers, method_layers, settled
 from stages.train.trainer import Trainer
+from stages.train.watch import Watch
 
 
 def run(
@@ -50,10 +51,11 @@ def run(
     report: Report = SILENT,
     force: bool = False,
     perceptual_weights: Path | None = None,
+    watch: Watch | None = None,
 ) -> StageResult:
     """Train the layers of a subject; an interrupted run of the same configuration goes on where it stopped.
 
-    Without `perceptual_weights` the LPIPS terms are off.
+    Without `perceptual_weights` the LPIPS terms are off. `watch` is shown the outfit while it learns.
 
     Raises:
         MissingInput: an earlier stage has not run. BadData: three steps in a row were not finite.
@@ -77,7 +79,9 @@ def run(
         state = checkpoint.restore(progress, trainer)
         if state.step:
             report.say(f"going on from step {state.step}")
-        learn(trainer, progress, state, report)
+        if watch is not None:
+            watch.layer_ids = source.layers(config.method).layer_ids
+        learn(trainer, progress, state, report, watch)
         trainer.finish()
         report.step("write")
         with workspace.build(TRAIN, config, inputs, force=force) as build:

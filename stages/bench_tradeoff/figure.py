@@ -32,8 +32,10 @@ def tradeoff_page(points: Sequence[OperatingPoint], front: Sequence[OperatingPoi
     )
 
 
-_ROW = ("point", "on the front", "frames/s", "PSNR", "SSIM", "mIoU", "sharpness", "novel pose PSNR", "Gaussians",
-        "training, min", "bundles, MB", "memory, MB")  # fmt: skip
+_ROW = (
+    "point", "on the front", "frames/s", "PSNR", "SSIM", "mIoU", "sharpness", "novel pose PSNR",
+    "Gaussians", "training, min", "bundles, MB", "memory, MB",
+)  # fmt: skip
 
 
 def markdown(points: Sequence[OperatingPoint], front: Sequence[OperatingPoint]) -> str:

@@ -57,7 +57,7 @@ def run(
     capture, output = capture.resolve(), output.resolve()
     subject = output / "subject"
     report.step("template")
-    given = ["--body-model", body_model.resolve()] if body_model else []
+    given: list[str | Path] = ["--body-model", body_model.resolve()] if body_model else []
     run_command("register-template", capture, "-o", subject, *given)
     for command in ("canonicalize", "segment-layers"):
         run_command(command, subject, "--preset", config.preset)
@@ -69,7 +69,7 @@ def run(
             report.step(f"{decoder.name} at {pitch:g} mm")
             points.append(_measure(subject, output, pitch, decoder, layers, minutes, config))
             report.say(f"{points[-1].frames_per_second:.1f} frames/s, {points[-1].psnr_foreground:.2f} dB")
-            _write(output, capture.name, points, config)
+            write_results(output, capture.name, points, config)
     return BenchTradeoffResult(output, json.loads((output / RESULT_NAME).read_bytes()))
 
 
@@ -163,7 +163,9 @@ def _measure(
     )
 
 
-def _write(output: Path, subject: str, points: Sequence[OperatingPoint], config: BenchTradeoffConfig) -> None:
+def write_results(
+    output: Path, subject: str, points: Sequence[OperatingPoint], config: BenchTradeoffConfig
+) -> None:
     """Everything so far, so that a bench that is stopped leaves what it measured."""
     front = on_front(points)
     content = {

@@ -12,7 +12,7 @@ import pytest
 from stages.bench_tradeoff.config import BenchTradeoffConfig
 from stages.bench_tradeoff.figure import markdown, tradeoff_page, tradeoff_picture
 from stages.bench_tradeoff.front import OperatingPoint, fast_enough, given_up, good_enough, on_front
-from stages.bench_tradeoff.stage import RESULT_NAME, _write, read_points
+from stages.bench_tradeoff.stage import RESULT_NAME, read_points, write_results
 from stages.shared.errors import BadData, MissingInput
 
 POSE = {"psnr_foreground": 13.0, "ssim_foreground": 0.7, "miou": 0.8, "sharpness": 0.5}
@@ -60,7 +60,7 @@ def test_picture_page_and_table_show_every_point() -> None:
 
 
 def test_file_is_read_back(tmp_path: Path) -> None:
-    _write(tmp_path, "subject", ALL, BenchTradeoffConfig())
+    write_results(tmp_path, "subject", ALL, BenchTradeoffConfig())
     assert read_points(tmp_path) == list(ALL)
     stored = json.loads((tmp_path / RESULT_NAME).read_bytes())
     assert [point["on_front"] for point in stored["points"]] == [True, True, False, True, True]

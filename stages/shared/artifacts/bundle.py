@@ -189,7 +189,8 @@ def _read(path: Path, max_bytes: int, header_only: bool = False) -> tuple[bytear
             head = stream.read(8)
             if len(head) == 8 and struct.unpack("<Q", head)[0] > min(MAX_HEADER_BYTES, size - 8):
                 raise _refused("its header claims more bytes than are allowed or there", str(path))
-            rest = struct.unpack("<Q", head)[0] if header_only and len(head) == 8 else max_bytes
+            # As many bytes as are there: a read allocates what it is asked for, not what it finds.
+            rest = struct.unpack("<Q", head)[0] if header_only and len(head) == 8 else max(size - 8, 0)
             return bytearray(head + stream.read(rest)), size
     except (FileNotFoundError, NotADirectoryError, IsADirectoryError) as error:
         raise MissingInput(

@@ -9,6 +9,7 @@ import typer
 # Modules of this package; the order is the one `gw bench --help` shows.
 SUBCOMMANDS: tuple[str, ...] = (
     "splat",
+    "step",
     "tryon",
     "stability",
     "playback",
@@ -16,6 +17,7 @@ SUBCOMMANDS: tuple[str, ...] = (
     "paper",
     "curves",
     "templates",
+    "scale",
 )
 
 

@@ -116,6 +116,11 @@ def plan(subject: Path, config: TrainConfig | None = None, perceptual_weights: P
     )
 
 
+def prepare(subject: Path, config: TrainConfig) -> Trainer:
+    """The trainer with which `run` would begin, without LPIPS; for measuring."""
+    return _trainer(_open(Workspace(subject)), config, _device(config.device), None)
+
+
 @dataclass(frozen=True)
 class _Source:
     """Everything the stage reads."""

@@ -1,0 +1,167 @@
+"""Where the seconds of a training step go, and what sharing one traversal saves.
+
+Reads what `gw train` reads; writes nothing.
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from stages.shared.avatar.compose import Composite, compose
+from stages.shared.capture import Camera
+from stages.shared.errors import UsageProblem
+from stages.shared.report import SILENT, Report
+from stages.shared.splat.api import rasterize
+from stages.shared.splat.kernels.threads import watch
+from stages.train.config import TrainConfig
+from stages.train.data import choose
+from stages.train.objective import camera_tensors, render
+from stages.train.stage import prepare
+from stages.train.trainer import Trainer
+
+_SHARE_OF_RUN = 0.9
+"""The steps measured are late ones: full-size pictures, all terms in force."""
+_BACKWARD_KERNELS = ("blend_backward", "project_backward")
+
+Draw = Callable[[Composite, Camera], list[Tensor]]
+
+
+@dataclass(frozen=True)
+class TimingConfig:
+    """steps: measured after one that warms up. threads: 0 is torch's number."""
+
+    steps: int = 5
+    threads: int = 0
+
+
+def run(
+    subject: Path, train: TrainConfig, config: TimingConfig = TimingConfig(), report: Report = SILENT
+) -> dict[str, Any]:
+    """Medians over a few steps of a new run, by phase; the splatting of a step by itself, both ways.
+
+    Keys: `step_seconds` and `phase_seconds` (see `StepReport`; "splat" includes the picture losses);
+    `kernel_seconds` of the splatting kernels within a step, forward and backward; `splat_seconds`: the
+    pictures of one step drawn in one traversal ("shared": colours, labels and the body alone), and by a call
+    each ("separate"); `step_seconds_separate`: the step if it drew them so, by subtraction.
+    """
+    if config.steps < 1:
+        raise UsageProblem("No steps to measure.", "steps", "Give one or more.")
+    before = torch.get_num_threads()
+    torch.set_num_threads(config.threads or before)
+    try:
+        report.step("preparing")
+        trainer = prepare(subject, train)
+        return _measure(trainer, config.steps, report)
+    finally:
+        torch.set_num_threads(before)
+
+
+def _measure(trainer: Trainer, steps: int, report: Report) -> dict[str, Any]:
+    first = int(_SHARE_OF_RUN * trainer.config.steps)
+    elapsed = _SHARE_OF_RUN * 60.0 * trainer.config.minutes
+    report.step("steps")
+    trainer.step(first, elapsed)
+    rows: list[dict[str, float]] = []
+    kernels: list[dict[str, float]] = []
+    for number in range(first + 1, first + 1 + steps):
+        started = time.perf_counter()
+        with watch() as seconds:
+            phases = trainer.step(number, elapsed).seconds
+        rows.append({"step": time.perf_counter() - started, **phases})
+        backward = sum(seconds.get(name, 0.0) for name in _BACKWARD_KERNELS)
+        kernels.append({"forward": sum(seconds.values()) - backward, "backward": backward})
+        report.progress(len(rows), steps)
+    medians = _medians(rows)
+    report.step("splatting alone")
+    composite, cameras = _pictures(trainer, first)
+    ways: dict[str, Draw] = {"shared": _shared}
+    if "body" in composite.layers:
+        ways["separate"] = _separate
+    splat = _interleaved(ways, composite, cameras, steps)
+    found: dict[str, Any] = {
+        "gaussians": len(composite.means),
+        "views": len(cameras),
+        "pixels": sum(camera.width * camera.height for camera in cameras),
+        "channels": composite.features.shape[1],
+        "threads": torch.get_num_threads(),
+        "steps": steps,
+        "step_seconds": medians.pop("step"),
+        "phase_seconds": medians,
+        "kernel_seconds": _medians(kernels),
+        "splat_seconds": splat,
+    }
+    if "separate" in splat:
+        more = sum(splat["separate"].values()) - sum(splat["shared"].values())
+        found["step_seconds_separate"] = found["step_seconds"] + more
+    return found
+
+
+def _pictures(trainer: Trainer, number: int) -> tuple[Composite, list[Camera]]:
+    """The Gaussians and the cameras of a step at full size."""
+    config = trainer.config
+    choice = choose(config.seed, number, trainer.frames, trainer.cameras, config.views_per_step)
+    with torch.no_grad():
+        composite = compose(trainer.posed(choice.frame))
+    scale = config.image_scale
+    return composite, [trainer.views.view(choice.frame, name, scale).camera for name in choice.cameras]
+
+
+def _shared(composite: Composite, camera: Camera) -> list[Tensor]:
+    picture = render(composite, camera, body_alone="body" in composite.layers)
+    found = [picture.color, picture.labels, picture.alpha, picture.body_alpha]
+    return [image for image in found if image is not None]
+
+
+def _separate(composite: Composite, camera: Camera) -> list[Tensor]:
+    """Colours, then labels, then the body alone: a call each."""
+    shown = (camera.width, camera.height)
+    matrices = camera_tensors(camera, composite.means)
+
+    def draw(rows: Any, channels: slice) -> Any:
+        return rasterize(
+            composite.means[rows], None, None, composite.opacities[rows], composite.features[rows, channels],
+            *matrices, *shown, covars=composite.covariances[rows],
+        )  # fmt: skip
+
+    colors, labels = draw(slice(None), slice(3)), draw(slice(None), slice(3, None))
+    body = draw(composite.layer_ids == composite.layers.index("body"), slice(1))
+    return [colors.features, labels.features, colors.alpha, body.alpha]
+
+
+def _interleaved(
+    ways: dict[str, Draw], composite: Composite, cameras: list[Camera], rounds: int
+) -> dict[str, dict[str, float]]:
+    """Median seconds, forward and backward, of all cameras' pictures; the ways take turns."""
+    for draw in ways.values():
+        _forward_backward(draw, composite, cameras)
+    rows: dict[str, list[dict[str, float]]] = {name: [] for name in ways}
+    for _ in range(rounds):
+        for name, draw in ways.items():
+            rows[name].append(_forward_backward(draw, composite, cameras))
+    return {name: _medians(found) for name, found in rows.items()}
+
+
+def _forward_backward(draw: Draw, composite: Composite, cameras: list[Camera]) -> dict[str, float]:
+    names = ("means", "covariances", "opacities", "features")
+    seconds = {"forward": 0.0, "backward": 0.0}
+    for camera in cameras:
+        leaves = {name: getattr(composite, name).detach().requires_grad_() for name in names}
+        started = time.perf_counter()
+        images = draw(replace(composite, **leaves), camera)
+        drawn = time.perf_counter()
+        torch.autograd.backward(images, [torch.ones_like(image) for image in images])
+        seconds["forward"] += drawn - started
+        seconds["backward"] += time.perf_counter() - drawn
+    return seconds
+
+
+def _medians(rows: list[dict[str, float]]) -> dict[str, float]:
+    return {name: statistics.median(row.get(name, 0.0) for row in rows) for name in rows[0]}

@@ -28,6 +28,7 @@ COMMANDS: tuple[str, ...] = (
     "export_garment",
     "inspect",
     "wardrobe",
+    "poses",
     "tryon",
     "render",
     "view",

@@ -23,14 +23,15 @@ from stages.shared.errors import BadData
 _SMPLH_VALUES, _SMPLX_VALUES, _SMPL_VALUES = 156, 165, 72
 
 # y up from z up: −90° about x.
-_Y_UP_FROM_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+Y_UP_FROM_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
 
-def read_pose_vectors(file: NumericNpz, body: BodyModel | None = None) -> Poses:
+def read_pose_vectors(file: NumericNpz, body: BodyModel | None = None, z_up: bool = True) -> Poses:
     """Poses out of an open AMASS file (`*_poses.npz`, `*_stageii.npz`, or anything with the same two arrays).
 
     Keys: poses (T,156), (T,165) or (T,72), trans (T,3); optional mocap_framerate, mocap_frame_rate or fps.
-    The motion is turned from z up to y up. Its betas are of another, gendered shape space and are left out.
+    The motion is turned from z up to y up, unless the file's world has y up already (`z_up` False). Its betas
+    are of another, gendered shape space and are left out.
 
     Raises:
         BadData: other columns, NaN, missing arrays, no frames.
@@ -63,9 +64,12 @@ def read_pose_vectors(file: NumericNpz, body: BodyModel | None = None) -> Poses:
         DEFAULT_FPS,
     )
     pelvis = np.zeros(3) if body is None else body.joint_template[0]
+    if z_up:
+        rotations = y_up_roots(rotations)
+        translation = (translation + pelvis) @ Y_UP_FROM_Z_UP.T - pelvis
     return Poses(
-        y_up_roots(rotations).astype(np.float32),
-        ((translation + pelvis) @ _Y_UP_FROM_Z_UP.T - pelvis).astype(np.float32),
+        rotations.astype(np.float32),
+        translation.astype(np.float32),
         np.zeros(SHAPE_COUNT, dtype=np.float32),
         np.zeros((frames, EXPRESSION_COUNT), dtype=np.float32),
         fps,
@@ -74,7 +78,7 @@ def read_pose_vectors(file: NumericNpz, body: BodyModel | None = None) -> Poses:
 
 def y_up_roots(rotations: NDArray[np.float64]) -> NDArray[np.float64]:
     """The rotations (T, 55, 3) with the root turned from a z-up to a y-up world."""
-    turned = torch.from_numpy(_Y_UP_FROM_Z_UP) @ roma.rotvec_to_rotmat(torch.from_numpy(rotations[:, 0]))
+    turned = torch.from_numpy(Y_UP_FROM_Z_UP) @ roma.rotvec_to_rotmat(torch.from_numpy(rotations[:, 0]))
     result = rotations.copy()
     result[:, 0] = roma.rotmat_to_rotvec(turned).numpy()
     return result

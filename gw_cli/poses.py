@@ -1,0 +1,73 @@
+"""`gw poses`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gw_cli.console import Console, command
+from gw_cli.options import DryRun, Json
+
+
+def register(app: typer.Typer) -> None:
+    @app.command("poses")
+    @command
+    def poses(
+        source: Annotated[
+            Path, typer.Argument(metavar="FILE", help="smpl_params.npz, AMASS (SMPL-H, SMPL-X), or BVH.")
+        ],
+        output: Annotated[Path, typer.Option("-o", "--output", help="The smpl_params.npz to write.")],
+        fps: Annotated[
+            float, typer.Option(min=0, help="Resample to so many frames a second; 0: keep.")
+        ] = 0.0,
+        up: Annotated[
+            str, typer.Option(help="Axis of FILE that points up: y, z, or auto (AMASS z, smpl_params y).")
+        ] = "auto",
+        hands: Annotated[
+            str, typer.Option(help="file, flat (stretched), or relaxed (the body model's mean hand).")
+        ] = "file",
+        frames: Annotated[
+            str, typer.Option(metavar="START:END:STEP", help="Of the result; default all.")
+        ] = "",
+        correct_amass: Annotated[
+            bool,
+            typer.Option(
+                help="Raise collars, still the head's nod, straighten wrists, as is usual for AMASS."
+            ),
+        ] = False,
+        body_model: Annotated[
+            Path | None, typer.Option(metavar="FILE", help="SMPL-X model; default: the embedded body.")
+        ] = None,
+        dry_run: DryRun = False,
+        as_json: Json = False,
+    ) -> None:
+        """Turn a motion of any known kind into one that every command reads: y up, metres, 55 joints.
+
+        What kind FILE is of is found from its content. All commands that take --poses read such files as they
+        are; this one is for files that say too little (another up axis, other hands) and for cutting.
+
+        Example: gw poses walk_poses.npz -o walk.npz --fps 30 --correct-amass
+        """
+        from stages.shared.body import embedded_body
+        from stages.shared.body.load import load_body
+        from stages.shared.outfit.sources import parse_frames
+        from stages.shared.plan import Plan
+        from stages.shared.poses.convert import amass_corrected, with_hands
+        from stages.shared.poses.read import load_poses
+
+        console = Console(as_json)
+        body = load_body(body_model) if body_model else embedded_body()
+        motion = load_poses(source, body, fps or None, up)
+        motion = with_hands(amass_corrected(motion) if correct_amass else motion, hands, body)
+        motion = motion[parse_frames(frames, len(motion))]
+        seconds = (len(motion) - 1) / motion.fps
+        facts = {"frames": len(motion), "fps": motion.fps, "motion_seconds": round(seconds, 3)}
+        if dry_run:
+            console.plan(Plan([str(source)], [str(output)], facts, disk_bytes=700 * len(motion)))
+            return
+        motion.save(output)
+        console.result(
+            {"path": output, **facts}, next_command=f"gw tryon body.gwg skirt.gwg --poses {output} -o tryon"
+        )

@@ -75,6 +75,10 @@ def register(app: typer.Typer) -> None:
             str, typer.Option(help="Only the i-th of n parts of the frames, as 2/4; see below.")
         ] = "",
         swap: Swap = True,
+        push: Annotated[bool, typer.Option(help="Let garments give way where the body is larger.")] = False,
+        restore: Annotated[
+            bool, typer.Option(help="Bare skin that was covered when it was learned looks like the rest.")
+        ] = True,
         penetration: Penetration = True,
         preset: Preset = "draft",
         dry_run: DryRun = False,
@@ -130,6 +134,8 @@ def register(app: typer.Typer) -> None:
             pictures=pictures,
             shard=shard,
             swap=swap,
+            push=push,
+            restore=restore,
             penetration=penetration,
         )
         if html is not None and output is None:

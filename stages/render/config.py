@@ -21,6 +21,8 @@ class RenderConfig:
         distilled: of a subject, show the blendshapes of `gw distill` instead of the networks.
         layers: only these; () for all.
         swap: beneath a garment, give the body the form of the garment's own source.
+        push: let garments of other people give way to the body.
+        restore: skin that is bare now, and was covered when it was learned, looks like the skin around.
         penetration: repair pixels where an inner layer pokes through a garment.
         passes: of "labels", "depth", "layers".
         video: "auto" (H.264, or VP9 where there is no encoder or the background is transparent), "h264",
@@ -42,6 +44,8 @@ class RenderConfig:
     distilled: bool = False
     layers: tuple[str, ...] = ()
     swap: bool = True
+    push: bool = False
+    restore: bool = True
     penetration: bool = True
     passes: tuple[str, ...] = ()
     video: str = "auto"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,12 +12,11 @@ from stages.pipeline import BAKE_MAPS, DISTILL, REGISTER_TEMPLATE, TRAIN
 from stages.render.camera_path import path_cameras
 from stages.render.config import RenderConfig
 from stages.shared.artifacts import Workspace
-from stages.shared.artifacts.canonical import KEY_LENGTH, canonical_json, digest
 from stages.shared.body import Poses, canonical_rotations
 from stages.shared.capture import Take, open_capture
 from stages.shared.errors import MissingInput, UsageProblem
 from stages.shared.outfit.outfit import Outfit, outfit_of_bundles, outfit_of_training
-from stages.shared.outfit.reel import ReelFrame
+from stages.shared.outfit.reel import ReelFrame, reel_key
 from stages.shared.outfit.sources import (
     capture_frames,
     capture_take,
@@ -31,7 +29,6 @@ from stages.shared.poses.read import load_poses
 
 CANONICAL = "canonical"  # in the place of a pose file: the pose of the maps
 _STILL_FRAMES = 90  # of a camera that moves around it
-_CODE_VERSION = 1  # raised when the same inputs give other frames
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,20 +48,7 @@ class Scene:
 
     def key(self, config: RenderConfig) -> str:
         """Names the content of the output: the same scene and configuration have the same key."""
-        motion = hashlib.sha256()
-        for array in (self.poses.rotations, self.poses.translation, self.outfit.betas):
-            motion.update(np.ascontiguousarray(array).tobytes())
-        for frame in self.frames:
-            for camera in frame.cameras:
-                motion.update(f"{frame.row} {camera.name} {camera.width} {camera.height} ".encode())
-                motion.update(camera.intrinsics.tobytes() + camera.camera_from_world.tobytes())
-        parts = {
-            "code": _CODE_VERSION,
-            "config": config,
-            "digests": self.digests,
-            "motion": motion.hexdigest(),
-        }
-        return digest(canonical_json(parts))[:KEY_LENGTH]
+        return reel_key(self.outfit, self.digests, self.poses, self.frames, config)
 
 
 def open_scene(
@@ -113,7 +97,7 @@ def _open_outfit(
     if not folders:
         named = read_bundles(sources)
         digests = {bundle.layer: bundle.digest for _, bundle in named}
-        return outfit_of_bundles(named, betas, config.swap), None, digests
+        return outfit_of_bundles(named, betas, config.swap, config.push, config.restore), None, digests
     if len(sources) > 1:
         raise UsageProblem(
             "A subject is rendered as it is; bundles cannot be added to it.",

@@ -22,7 +22,7 @@ from stages.render.scene import Scene, open_scene
 from stages.shared.artifacts.canonical import plain, readable_json
 from stages.shared.artifacts.files import write_whole
 from stages.shared.export.splats import check_formats
-from stages.shared.outfit.penetration import PenetrationConfig
+from stages.shared.outfit.penetration import TRYON_MARGINS, PenetrationConfig
 from stages.shared.outfit.reel import ReelConfig, check_passes, close_reel, write_frames
 from stages.shared.pictures.background import read_background
 from stages.shared.pictures.folder import check_output
@@ -63,7 +63,7 @@ def run(
         UsageProblem: what cannot be meant. MissingInput, BadData: inputs. StorageFailure: disk full.
         Locked: another process renders the same.
     """
-    reel, share = _reel_config(config, cameras_path is not None), parse_share(config.shard)
+    reel, share = _reel_config(config, sources, cameras_path is not None), parse_share(config.shard)
     check_output(output, RESULT_NAME, MARK)
     report.step("reading")
     scene = open_scene(sources, poses_path, cameras_path, config)
@@ -102,7 +102,7 @@ def plan(
     config: RenderConfig = RenderConfig(),
 ) -> Plan:
     """What `run` would read, write and cost."""
-    reel, share = _reel_config(config, cameras_path is not None), parse_share(config.shard)
+    reel, share = _reel_config(config, sources, cameras_path is not None), parse_share(config.shard)
     scene = open_scene(sources, poses_path, cameras_path, config)
     frames = share.of(scene.frames)
     cameras = [camera for frame in frames for camera in frame.cameras] if config.pictures else []
@@ -136,18 +136,19 @@ def _described(scene: Scene) -> dict[str, Any]:
     }
 
 
-def _reel_config(config: RenderConfig, from_capture: bool) -> ReelConfig:
+def _reel_config(config: RenderConfig, sources: Sequence[Path], from_capture: bool) -> ReelConfig:
     check_passes(config.passes)
     check_formats(config.exports, "option --export")
     passes = config.passes
     if from_capture and "labels" not in passes:
         passes = ("labels", *passes)  # `gw evaluate --frames` compares them with the capture's
+    margins = PenetrationConfig() if any(path.is_dir() for path in sources) else TRYON_MARGINS
     background = read_background(config.background)
     chosen_suffix(config.video, background.transparent)
     return ReelConfig(
         background=background,
         passes=passes,
-        penetration=PenetrationConfig() if config.penetration else None,
+        penetration=margins if config.penetration else None,
         film="film",
         video=config.video,
         camera_folders=from_capture,

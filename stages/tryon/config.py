@@ -19,6 +19,7 @@ class TryonConfig:
         push: let garments of other people give way to the body.
         restore: skin that is bare now, and was covered when it was learned, looks like the skin around.
         penetration: repair pixels where an inner layer pokes through a garment.
+        ground: fit the way of the hips to the length of the wearer's legs, so that the feet are on the floor.
         passes: of "labels", "depth", "layers".
     """
 
@@ -33,6 +34,7 @@ class TryonConfig:
     push: bool = False
     restore: bool = True
     penetration: bool = True
+    ground: bool = True
     passes: tuple[str, ...] = ()
 
 

@@ -16,15 +16,17 @@ from typing import Any
 
 from stages.shared.artifacts.bundle import Bundle
 from stages.shared.artifacts.canonical import readable_json
-from stages.shared.artifacts.files import write_file
+from stages.shared.artifacts.files import write_whole
 from stages.shared.body import Poses
+from stages.shared.outfit.grounding import grounded
 from stages.shared.outfit.outfit import Outfit, outfit_of_bundles
 from stages.shared.outfit.penetration import TRYON_MARGINS
-from stages.shared.outfit.reel import ReelConfig, ReelFrame, check_passes, write_reel
+from stages.shared.outfit.reel import ReelConfig, ReelFrame, check_passes, close_reel, reel_key, write_frames
 from stages.shared.outfit.sources import parse_betas, parse_frames, read_bundles
 from stages.shared.outfit.viewpoints import viewpoint_cameras
 from stages.shared.pictures.background import read_background
-from stages.shared.pictures.folder import check_output, output_folder
+from stages.shared.pictures.folder import check_output
+from stages.shared.pictures.parts import Share, finish, part_folder
 from stages.shared.plan import Plan
 from stages.shared.poses.read import load_poses
 from stages.shared.report import SILENT, Report
@@ -53,32 +55,37 @@ def run(
 
     Raises:
         UsageProblem: no body or two, two garments for one slot, an output folder that holds something else.
-        MissingInput, BadData: bundles and poses. StorageFailure: disk full; nothing half-written is left.
+        MissingInput, BadData: bundles and poses. StorageFailure: disk full; the same command goes on later.
+        Locked: another process makes the same.
     """
     reel = _reel_config(config)
     check_output(output, RESULT_NAME, MARK)
     report.step("reading the bundles")
     named = read_bundles(bundles)
     outfit = dressed(named, config)
-    poses = load_poses(poses_path, outfit.body_model, config.fps or None)
+    poses = _motion(poses_path, outfit, config)
     frames = _frames(outfit, poses, config)
     report.say(f"{' < '.join(outfit.names)}: {outfit.gaussians} Gaussians, {len(frames)} frames")
     report.step("rendering")
-    with output_folder(output, RESULT_NAME, MARK) as folder:
-        reel_summary = write_reel(folder, outfit, poses, frames, reel, report)
+    digests = {bundle.layer: bundle.digest for _, bundle in named}
+    with part_folder(output, reel_key(outfit, digests, poses, frames, config), Share()) as folder:
+        kept = write_frames(folder, outfit, poses, frames, reel, report)
+        reel_summary = close_reel(folder, outfit, poses, frames, reel)
         summary = {
             "layers": list(outfit.names),
             "gaussians": outfit.gaussians,
-            "bundles": {bundle.layer: bundle.digest for _, bundle in named},
+            "bundles": digests,
             "betas": [round(float(value), 6) for value in outfit.betas],
             "swapped_texels": {change.garment: change.count for change in outfit.swaps},
             "restored_texels": outfit.restoration.count if outfit.restoration else 0,
             "projected_frames": outfit.projected_frames(poses, [frame.row for frame in frames]),
+            "kept_frames": kept,
             **reel_summary.as_dict(),
         }
         shown = {"fps": poses.fps, "frames": [frame.row for frame in frames], "config": asdict(config)}
         content = {"format": MARK, "version": 1, **shown, **summary}
-        write_file(folder / RESULT_NAME, readable_json(content))
+        write_whole(folder / RESULT_NAME, readable_json(content))
+        finish(folder, output, [] if reel_summary.video is None else [folder / reel_summary.video])
     return TryonResult(output, summary)
 
 
@@ -88,7 +95,7 @@ def plan(
     """What `run` would read, write and cost."""
     _reel_config(config)
     outfit = dressed(read_bundles(bundles), config)
-    poses = load_poses(poses_path, outfit.body_model, config.fps or None)
+    poses = _motion(poses_path, outfit, config)
     count = len(parse_frames(config.frames, len(poses)))
     pixels = config.width * config.height
     return Plan(
@@ -105,6 +112,12 @@ def dressed(named: Sequence[tuple[str, Bundle]], config: TryonConfig) -> Outfit:
     """The outfit of these bundles."""
     betas = parse_betas(config.betas)
     return outfit_of_bundles(named, betas, config.swap, config.push, config.restore)
+
+
+def _motion(path: Path, outfit: Outfit, config: TryonConfig) -> Poses:
+    """The motion, with the wearer's feet on its floor."""
+    poses = load_poses(path, outfit.body_model, config.fps or None)
+    return grounded(poses, outfit.body_model, outfit.betas) if config.ground else poses
 
 
 def _reel_config(config: TryonConfig) -> ReelConfig:

@@ -17,6 +17,7 @@ from stages.shared.artifacts.bundle import Bundle, read_bundle
 from stages.shared.body import Poses
 from stages.shared.errors import BadData, MissingInput, UsageProblem
 from stages.shared.outfit.outfit import Outfit, outfit_of_bundles, outfit_of_training
+from stages.shared.outfit.penetration import TRYON_MARGINS, PenetrationConfig
 from stages.shared.poses.read import load_poses
 from stages.view.config import ViewConfig
 
@@ -68,6 +69,11 @@ class Shelf:
                 self._outfits.popitem(last=False)
             made = self._outfits[key]
         return made if betas is None else replace(made, betas=betas)
+
+    @property
+    def margins(self) -> PenetrationConfig:
+        """Of the penetration pass, as `gw render` takes them."""
+        return TRYON_MARGINS if self._subject is None else PenetrationConfig()
 
     def described(self) -> list[dict[str, Any]]:
         """Every piece, for the page; none for a subject, which is worn as it is."""

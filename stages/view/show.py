@@ -15,7 +15,6 @@ from stages.shared.body import Poses, canonical_rotations
 from stages.shared.capture.camera import Camera, checked_camera
 from stages.shared.errors import UsageProblem
 from stages.shared.outfit.outfit import Outfit
-from stages.shared.outfit.penetration import PenetrationConfig
 from stages.shared.outfit.picture import take_picture
 from stages.shared.outfit.sources import parse_betas
 from stages.shared.outfit.viewpoints import viewpoint_cameras
@@ -97,7 +96,7 @@ class Show:
             if not layers:
                 raise UsageProblem("All layers are off.", "layers", "Leave one on.")
             composite = replace(outfit, layers=layers).composite(poses, wish.row)
-            shot = take_picture(composite, camera, PenetrationConfig())
+            shot = take_picture(composite, camera, self.shelf.margins)
         straight = shot.straight()
         return encode_png(straight if behind.transparent else behind.under(straight))
 

@@ -15,9 +15,10 @@ whom, those were rendered.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -26,8 +27,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.shared.artifacts.canonical import canonical_json
-from stages.shared.artifacts.files import make_folders, remove_folder, write_file, write_whole
+from stages.shared.artifacts.canonical import KEY_LENGTH, canonical_json, digest
+from stages.shared.artifacts.files import make_folders, write_file, write_whole
 from stages.shared.artifacts.pictures import encode_png
 from stages.shared.avatar.compose import Composite
 from stages.shared.body import Poses
@@ -47,6 +48,7 @@ from stages.shared.pictures.video import VideoWriter, chosen_suffix
 from stages.shared.report import Report
 
 PASSES = ("labels", "depth", "layers")
+_CODE_VERSION = 1  # raised when the same inputs give other files
 _SHEET_PICTURES, _SHEET_COLUMNS, _SHEET_SIDE = 12, 6, 320
 
 
@@ -114,27 +116,23 @@ class ReelSummary:
         }
 
 
-def write_reel(
-    folder: Path,
-    outfit: Outfit,
-    poses: Poses,
-    frames: Sequence[ReelFrame],
-    config: ReelConfig,
-    report: Report,
-) -> ReelSummary:
-    """Render and write everything that is not in the folder yet; memory does not grow with the frames.
+def reel_key(
+    outfit: Outfit, digests: Mapping[str, str], poses: Poses, frames: Sequence[ReelFrame], config: Any
+) -> str:
+    """Names the content of a reel: the same key, the same files.
 
     Arguments:
-        folder: a folder for this reel alone, renamed into place by the caller.
-        poses: rows as `frames` name them.
-
-    Raises:
-        UsageProblem: a row that the poses do not have. StorageFailure: disk full.
+        digests: of what the outfit was read from. config: the stage's whole configuration.
     """
-    write_frames(folder, outfit, poses, frames, config, report)
-    summary = close_reel(folder, outfit, poses, frames, config)
-    remove_folder(folder / RECORDS)
-    return summary
+    seen = hashlib.sha256()
+    for array in (poses.rotations, poses.translation, outfit.betas):
+        seen.update(np.ascontiguousarray(array).tobytes())
+    for frame in frames:
+        for camera in frame.cameras:
+            seen.update(f"{frame.row} {camera.name} {camera.width} {camera.height} ".encode())
+            seen.update(camera.intrinsics.tobytes() + camera.camera_from_world.tobytes())
+    parts = {"code": _CODE_VERSION, "config": config, "digests": digests, "seen": seen.hexdigest()}
+    return digest(canonical_json(parts))[:KEY_LENGTH]
 
 
 def write_frames(
@@ -148,7 +146,14 @@ def write_frames(
 ) -> int:
     """Render a share of the frames, those that are finished already left out; returns how many were left out.
 
-    A frame is finished when its record is there, which is written last.
+    A frame is finished when its record is there, which is written last. Memory does not grow with the frames.
+
+    Arguments:
+        folder: a folder for this reel alone (`stages/shared/pictures/parts.py`).
+        poses: rows as `frames` name them.
+
+    Raises:
+        UsageProblem: a row that the poses do not have. StorageFailure: disk full.
     """
     last = max((frame.row for frame in frames), default=-1)
     if last >= len(poses):

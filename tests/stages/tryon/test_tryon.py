@@ -89,3 +89,29 @@ def test_command_with_its_errors(wardrobe: Path, tmp_path: Path) -> None:
         assert failed.exit_code == code, (words, failed.stderr)
         assert len(failed.stderr.strip().splitlines()[-3:]) == 3 and "fix:" in failed.stderr
     assert sorted(path.name for path in tmp_path.iterdir()) == ["broken.gwg", "out"]
+
+
+def test_an_interrupted_try_on_goes_on(wardrobe: Path, tmp_path: Path) -> None:
+    """Frames that were finished are kept, and the result is the one of a single run."""
+
+    class Stop:
+        def step(self, text: str) -> None: ...
+
+        def say(self, text: str) -> None: ...
+
+        def warn(self, text: str) -> None: ...
+
+        def progress(self, done: int, total: int, **numbers: float) -> None:
+            if done == 2:
+                raise KeyboardInterrupt
+
+    bundles, poses = _bundles(wardrobe, "body", "upper"), wardrobe / "motion.npz"
+    whole = stage.run(bundles, poses, tmp_path / "whole", SMALL)
+    with pytest.raises(KeyboardInterrupt):
+        stage.run(bundles, poses, tmp_path / "out", SMALL, Stop())
+    assert not (tmp_path / "out").exists()
+    result = stage.run(bundles, poses, tmp_path / "out", SMALL)
+    assert result.summary["kept_frames"] == 2 and whole.summary["kept_frames"] == 0
+    for name in ("frames/000001.png", "frames/000004.png", "contact_sheet.png", whole.summary["video"]):
+        assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out", "whole"]

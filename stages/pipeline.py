@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from stages.shared.artifacts.spec import StageSpec
 
-REGISTER_TEMPLATE = StageSpec("register-template", "gw register-template CAPTURE -o SUBJECT", ())
+REGISTER_TEMPLATE = StageSpec(
+    "register-template", "gw register-template CAPTURE -o SUBJECT", (), code_version=2
+)
 CANONICALIZE = StageSpec("canonicalize", "gw canonicalize SUBJECT", ("register-template",), code_version=2)
 SEGMENT_LAYERS = StageSpec(
     "segment-layers", "gw segment-layers SUBJECT", ("register-template", "canonicalize")
 )
 BAKE_MAPS = StageSpec("bake-maps", "gw bake-maps SUBJECT", ("canonicalize", "segment-layers"), code_version=2)
-TRAIN = StageSpec("train", "gw train SUBJECT", ("register-template", "bake-maps"), code_version=3)
+TRAIN = StageSpec("train", "gw train SUBJECT", ("register-template", "bake-maps"), code_version=4)
 DISTILL = StageSpec("distill", "gw distill SUBJECT", ("register-template", "bake-maps", "train"))
 
 PIPELINE: tuple[StageSpec, ...] = (REGISTER_TEMPLATE, CANONICALIZE, SEGMENT_LAYERS, BAKE_MAPS, TRAIN)

@@ -41,6 +41,9 @@ def save(progress: Progress, trainer: Trainer, state: RunState) -> None:
             arrays[f"first.{name}"] = moments["exp_avg"].cpu().numpy()
             arrays[f"second.{name}"] = moments["exp_avg_sq"].cpu().numpy()
             arrays[f"count.{name}"] = moments["step"].cpu().numpy().reshape(1)
+    if trainer.tracker is not None and not state.step:
+        for name, layer in trainer.tracker.tracked.items():
+            arrays[f"tracked.{name}"] = layer.found.numpy()
     progress.write_arrays(CHECKPOINT_NAME, arrays, vars(state))
 
 
@@ -70,6 +73,9 @@ def restore(progress: Progress, trainer: Trainer) -> RunState:
                 "exp_avg": torch.from_numpy(arrays[f"first.{name}"]).to(parameter.device),
                 "exp_avg_sq": torch.from_numpy(arrays[f"second.{name}"]).to(parameter.device),
             }
+    for name, layer in trainer.tracker.tracked.items() if trainer.tracker is not None else ():
+        if f"tracked.{name}" in arrays:
+            layer.found.copy_(torch.from_numpy(arrays[f"tracked.{name}"]))
     lines = [line for line in progress.lines(METRICS_NAME) if line["step"] < state.step]
     progress.rewrite_lines(METRICS_NAME, lines)
     return state

@@ -54,12 +54,14 @@ class TrackConfig:
 
     Attributes:
         frame_step: follow every so many-th frame, each with an anchor of its own; 0 switches tracking off.
+        cell: texels per cell of the maps that are solved for; anchors may be finer.
         warm_up: steps that first learn the template's own frame. rounds: Gauss-Newton steps per frame.
         bending, stretch, inertia: weights of smoothness (second and first differences) and of staying where
             the last frame was, against one trusted pixel of one texel.
     """
 
     frame_step: int = 0
+    cell: int = 4
     warm_up: int = 60
     rounds: int = 3
     bending: float = 30.0
@@ -130,9 +132,11 @@ _TRACKED = TrackConfig(frame_step=1)
 DRAFT = TrainConfig(
     perceptual_side=128,
     weights=_ECONOMY,
-    rates=LearningRates(anchors=2e-4),
+    rates=LearningRates(anchors=4e-4, offset=5e-5),
     track=_TRACKED,
-    model=ModelConfig(pose_prior=20, anchors=40, anchor_widths="own", history=3),
+    model=ModelConfig(
+        pose_prior=20, networks="none", anchors=40, anchor_cell=2, anchor_widths="own", history=3
+    ),
 )
 PRESETS: dict[str, TrainConfig] = {
     "tiny": replace(
@@ -150,7 +154,7 @@ PRESETS: dict[str, TrainConfig] = {
         steps=8000,
         frame_step=1,
         perceptual_side=256,
-        model=replace(DRAFT.model, width=0.25, depth=5, style=64, factor=2, anchors=100),
+        model=replace(DRAFT.model, networks="garments", anchors=100),
     ),
     "paper": TrainConfig(
         steps=300_000,

@@ -17,6 +17,7 @@ _SECONDS_PER_PICTURE = 0.02
 _SECONDS_PER_GAUSSIAN = 1.5e-6
 _SECONDS_PER_NETWORK = 0.05
 _SECONDS_PER_WEIGHT_PIXEL = 1.2e-12
+_SECONDS_PER_TRACKED_VIEW = 0.15  # a frame in one camera, all rounds
 # Reckoned, not measured: VGG-16 there, back, and once for the truth at 100 GFLOP/s; its activations.
 _SECONDS_PER_PERCEIVED_PIXEL = 1.8e-5
 _BYTES_PER_PERCEIVED_PIXEL = 2200
@@ -29,17 +30,20 @@ def parameters(maps: dict[str, LayerMaps], config: TrainConfig) -> int:
     return base + sum(_network_parameters(layer, config.model) for layer in maps.values())
 
 
-def seconds(maps: dict[str, LayerMaps], config: TrainConfig) -> float:
-    """Time of a whole run."""
+def seconds(maps: dict[str, LayerMaps], config: TrainConfig, tracked_views: int = 0) -> float:
+    """Time of a whole run; `tracked_views`: frames that garments are followed through, times cameras."""
     gaussians = sum(len(layer) for layer in maps.values())
     pictures = config.views_per_step * (gaussians * _SECONDS_PER_GAUSSIAN_SEEN + _SECONDS_PER_PICTURE)
     networks = gaussians * _SECONDS_PER_GAUSSIAN
     for layer in maps.values():
         grid = network_grid(layer.window, config.model.factor, config.model.depth)
         work = _network_parameters(layer, config.model) * grid.height * grid.width
-        networks += _SECONDS_PER_NETWORK + work * _SECONDS_PER_WEIGHT_PIXEL
+        networks += len(config.model.networks_of(layer.layer)) * _SECONDS_PER_NETWORK
+        networks += work * _SECONDS_PER_WEIGHT_PIXEL
     perceived = 2 * config.views_per_step * _perceived_pixels(config) * _SECONDS_PER_PERCEIVED_PIXEL
     total = config.steps * (pictures + networks + perceived)
+    if config.track.frame_step and config.model.anchors:
+        total += tracked_views * _SECONDS_PER_TRACKED_VIEW + config.track.warm_up * pictures
     return min(total, 60.0 * config.minutes) if config.minutes > 0 else total
 
 
@@ -48,7 +52,7 @@ def memory_bytes(maps: dict[str, LayerMaps], config: TrainConfig) -> int:
     activations = 0.0
     for layer in maps.values():
         grid = network_grid(layer.window, config.model.factor, config.model.depth)
-        nets = 1 if config.model.heads == "joint" else 3
+        nets = len(config.model.networks_of(layer.layer))
         activations += nets * grid.height * grid.width * 64 * config.model.width * 40 * _FLOAT
     texels = sum(len(layer) for layer in maps.values())
     activations += 2 * _perceived_pixels(config) * _BYTES_PER_PERCEIVED_PIXEL
@@ -68,7 +72,7 @@ def _perceived_pixels(config: TrainConfig) -> int:
 def _network_parameters(layer: LayerMaps, model: ModelConfig) -> int:
     grid = network_grid(layer.window, model.factor, model.depth)
     inputs = 3 if model.input_views == "front" else 6
-    outputs = (14,) if model.heads == "joint" else (3, 3, 8)
+    outputs = model.networks_of(layer.layer)
     with torch.device("meta"):
         networks = [
             StyleUNet(inputs, count, (grid.height, grid.width), model.depth, model.width, model.style)

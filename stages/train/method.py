@@ -71,6 +71,8 @@ def settled(config: TrainConfig) -> TrainConfig:
             opacity=0.0,
             covered_skin=0.0,
         )
+    if config.method != METHODS[0]:  # the baselines are networks; without them they would be something else
+        config = replace(config, model=replace(config.model, networks="all"))
     if config.method == "layga":  # clothing has to leave the skin, by centimetres
         weights = replace(weights, offset=_PUBLISHED_OFFSET)
     return ablated(replace(config, weights=weights))

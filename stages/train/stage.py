@@ -110,7 +110,7 @@ def plan(subject: Path, config: TrainConfig | None = None, perceptual_weights: P
         inputs=[str(source.registered.path), str(source.baked.path), str(source.capture.root), *weights],
         outputs=[f"{workspace.root / TRAIN.name}/<key>/{name}.safetensors" for name in maps],
         config=asdict(config),
-        seconds=cost.seconds(maps, settled(config)),
+        seconds=cost.seconds(maps, settled(config), _tracked_views(source.take, config)),
         memory_bytes=cost.memory_bytes(maps, settled(config)),
         disk_bytes=cost.disk_bytes(maps, settled(config)),
     )
@@ -195,6 +195,12 @@ def _device(name: str) -> torch.device:
     if name == "cuda" and not torch.cuda.is_available():
         raise UsageProblem("No CUDA device was found.", "option --device", "Use --device cpu.")
     return torch.device("cuda" if name != "cpu" and torch.cuda.is_available() else "cpu")
+
+
+def _tracked_views(take: Take, config: TrainConfig) -> int:
+    """Pictures through which garments are followed."""
+    frames = take.frames[:: config.track.frame_step] if config.track.frame_step else []
+    return len(frames) * len(take.training_cameras)
 
 
 def _trainer(

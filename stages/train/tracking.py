@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn import functional
 
 from stages.shared.avatar.anchors import AnchorOffsets
 from stages.shared.avatar.compose import Composite, compose
@@ -41,6 +43,8 @@ class _Tracked:
     model: AvatarModel
     anchors: AnchorOffsets
     cells: Cells
+    size: tuple[int, int]  # of the coarse maps that the cells belong to
+    found: Tensor  # (K, M, 3) m, what was found of every anchor's frame
 
 
 class Tracker:
@@ -64,7 +68,7 @@ class Tracker:
         self.config, self.models, self.views, self.frames, self.poses = config, models, views, frames, poses
         self.order = [*range(start, len(frames)), *range(start - 1, -1, -1)]
         self.start = start
-        self.tracked = {name: _tracked(model) for name, model in models.items() if has_anchors(model)}
+        self.tracked = {n: _tracked(model, config.cell) for n, model in models.items() if has_anchors(model)}
 
     @torch.no_grad()
     def follow(self, place: int) -> None:
@@ -161,13 +165,17 @@ class Tracker:
         return conjugate_gradients(applied, right, _SOLVER_STEPS) / _PER_METRE
 
     def _store(self, layer: _Tracked, index: int, found: Floats) -> None:
-        """Write cells (M, 3) into the anchor's maps (2·3, h, w)."""
-        target = layer.anchors.offsets.data[index].view(2, 3, -1)
-        height_width = target.shape[2]
-        side, cell = np.divmod(layer.cells.where, height_width)
-        target[torch.from_numpy(side).to(target.device), :, torch.from_numpy(cell).to(target.device)] = (
-            torch.from_numpy(found).to(target)
-        )
+        """Keep cells (M, 3), and write them into the anchor's finer maps (2·3, h, w)."""
+        layer.found[index] = torch.from_numpy(found).to(layer.found)
+        anchor = layer.anchors.offsets.data[index]
+        coarse = torch.zeros(4, 2 * layer.size[0] * layer.size[1])
+        coarse[:3, layer.cells.where] = layer.found[index].T
+        coarse[3, layer.cells.where] = 1.0
+        coarse = coarse.view(4, 2, *layer.size).transpose(0, 1)
+        fine = functional.interpolate(coarse, anchor.shape[1:], mode="bilinear", align_corners=False)
+        there = fine[:, 3:] > 1e-3  # cells that nothing follows do not pull at their neighbours
+        values = torch.where(there, fine[:, :3] / fine[:, 3:].clamp(min=1e-3), 0.0)
+        anchor.copy_(values.reshape(anchor.shape))
 
 
 def has_anchors(model: AvatarModel) -> bool:
@@ -193,16 +201,19 @@ def conjugate_gradients(applied: Any, right: Floats, steps: int) -> Floats:
     return found
 
 
-def _tracked(model: Any) -> _Tracked:
-    size = tuple(model.anchors.offsets.shape[2:])
-    return _Tracked(model, model.anchors, Cells.of(model.maps, model.sample_points, size))
+def _tracked(model: Any, cell: int) -> _Tracked:
+    height, width = model.anchors.offsets.shape[2:]
+    ratio = max(1, round(cell / model.model_config.anchor_cell))
+    if height % ratio or width % ratio:
+        ratio = 1
+    size = (height // ratio, width // ratio)
+    cells = Cells.of(model.maps, model.sample_points, size)
+    found = torch.zeros(len(model.anchors.offsets), len(cells.where), 3)
+    return _Tracked(model, model.anchors, cells, size, found)
 
 
 def _offsets(layer: _Tracked, index: int | None) -> Floats:
     """Cells (M, 3) m of an anchor; zero for None."""
     if index is None:
         return np.zeros((len(layer.cells.where), 3))
-    maps = layer.anchors.offsets.data[index].double().cpu().numpy()  # (6, h, w)
-    maps = maps.reshape(2, 3, -1)
-    side, cell = np.divmod(layer.cells.where, maps.shape[2])
-    return np.asarray(maps[side, :, cell])
+    return np.asarray(layer.found[index].double().numpy())

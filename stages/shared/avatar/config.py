@@ -14,6 +14,8 @@ class ModelConfig:
         ranks: of blendshapes: numbers of bases for offsets, colours and form.
         heads: "joint" (one network, 14 channels) or "separate" (the published three: colour 3, offset 3,
             other 8).
+        networks: which layers have them: "all", "garments" (the body follows its bones and keeps its base
+            attributes) or "none" (anchors alone move garments).
         width: multiplier of the networks' feature widths. depth: encoder levels. style: length of the style.
         factor: texels per network input pixel; 2 is the published ratio, more is cheaper (the output is
             sampled bilinearly).
@@ -37,6 +39,7 @@ class ModelConfig:
     decoder: str = "styleunet"
     ranks: tuple[int, int, int] = (24, 8, 4)
     heads: str = "joint"
+    networks: str = "all"
     width: float = 0.125
     depth: int = 4
     style: int = 64
@@ -54,6 +57,12 @@ class ModelConfig:
     view_conditioning: bool = False
     offset_scale: float = 0.05
     max_scale: float = 0.03
+
+    def networks_of(self, layer: str) -> tuple[int, ...]:
+        """Output channels of every network that a layer has."""
+        if self.networks == "none" or (self.networks == "garments" and layer == "body"):
+            return ()
+        return (14,) if self.heads == "joint" else (3, 3, 8)
 
 
 PAPER_MODEL = ModelConfig(

@@ -53,7 +53,7 @@ class LayerModel(TexelAttributes):
         self._view_counts = maps.view_counts
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
-            outputs = (14,) if config.heads == "joint" else (3, 3, 8)
+            outputs = config.networks_of(maps.layer)
             self.networks = nn.ModuleList(
                 StyleUNet(
                     self.positional.channels,
@@ -65,7 +65,7 @@ class LayerModel(TexelAttributes):
                 )
                 for count in outputs
             )
-            self.view_net = ViewNet(config.width) if config.view_conditioning else None
+            self.view_net = ViewNet(config.width) if config.view_conditioning and outputs else None
         # Zero departure and unit scale until `fit_input` has seen the training poses.
         self.register_buffer("input_mean", torch.zeros(1, self.positional.channels, grid.height, grid.width))
         self.register_buffer("input_scale", torch.ones(1))
@@ -83,7 +83,7 @@ class LayerModel(TexelAttributes):
             self.register_buffer("fading", torch.zeros(1))
         self.cosines = CosineMaps(maps, grid) if config.view_conditioning else None
         self.prior = None
-        if config.pose_prior > 0:
+        if config.pose_prior > 0 and outputs:
             values = self.positional.channels * len(self.positional.used)
             self.prior = PosePrior(config.pose_prior, values, config.pose_sigma)
 
@@ -157,7 +157,13 @@ class LayerModel(TexelAttributes):
         of every texel, used only with view conditioning (without it the colour network sees no view feature).
         `motion` (M,): `recent_motion`, used only with history; None for a still pose.
         """
+        if self.anchors is None and not len(self.networks):
+            return self.base_color.new_zeros(len(self.maps), 14)
         raw = self.positional(local_transforms)
+        if not len(self.networks):
+            seen = (raw - self.input_mean) / self.input_scale
+            nothing = self.base_color.new_zeros(len(self.maps), 14)
+            return self._with_anchors(nothing, seen, local_transforms, motion)
         image = (self._input(raw) - self.input_mean) / self.input_scale
         seen = (raw - self.input_mean) / self.input_scale
         if self.model_config.heads == "joint":

@@ -25,7 +25,7 @@ from stages.train.tracking import Tracker, conjugate_gradients
 from tests.shared.avatar.tubes import CENTRE, GRID, PITCH, tube_arrays
 from tests.stages.train.scene import TINY, make_subject, tiny
 
-_TRACK = TrackConfig(frame_step=1, warm_up=3, rounds=2)
+_TRACK = TrackConfig(frame_step=1, cell=8, warm_up=3, rounds=2)
 
 
 def _model() -> LayerModel:

@@ -5,12 +5,15 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import importlib.util
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from gw_cli.console import Console, command
 from gw_cli.options import Json, Subject, preset_config
+
+if TYPE_CHECKING:
+    from stages.shared.artifacts.workspace import Workspace
 
 
 def register(app: typer.Typer) -> None:
@@ -48,15 +51,34 @@ def register(app: typer.Typer) -> None:
 
         console = Console(as_json)
         if as_json:
-            console.result({"stages": [dataclasses.asdict(state) for state in states], "next": next_command})
+            rows = [{**dataclasses.asdict(state), **_cost(workspace, state.stage)} for state in states]
+            console.result({"stages": rows, "next": next_command})
             return
         width = max(len(spec.name) for spec in PIPELINE)
         for state in states:
-            first, *others = state.reasons or [""]
+            first, *others = state.reasons or [_spent(_cost(workspace, state.stage))]
             console.say(f"{state.stage:{width}}  {state.state:10}  {first}".rstrip())
             for reason in others:
                 console.say(" " * (width + 14) + reason)
         console.result({}, next_command)
+
+
+def _cost(workspace: Workspace, stage: str) -> dict[str, float | None]:
+    """Seconds and peak bytes of the run that made a stage's artifact; None where there is no record."""
+    from stages.pipeline import BY_NAME
+    from stages.shared.errors import BadData
+
+    try:
+        artifact = workspace.current(BY_NAME[stage])
+        record = {} if artifact is None else artifact.run
+    except BadData:
+        record = {}
+    return {name: record.get(name) for name in ("seconds", "peak_bytes")}
+
+
+def _spent(cost: dict[str, float | None]) -> str:
+    seconds, peak = cost["seconds"], cost["peak_bytes"]
+    return "" if seconds is None or peak is None else f"took {seconds:.1f} s and {peak / 1e9:.2f} GB"
 
 
 def _preset(stage: str, preset: str) -> Any:

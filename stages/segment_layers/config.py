@@ -17,6 +17,8 @@ class SegmentLayersConfig:
         smallest_island_m2: patches of a label smaller than this take the label around them.
         smallest_share: a garment covering less of the template's area than this is not there.
         extended_rings: rings of faces by which a garment reaches under its neighbour.
+        beneath_m: how far a garment goes on beneath one that lies over it, also on separate pieces.
+        beneath_outer_m: the same for an upper garment beneath an outer one, such as a shirt under a vest.
         ring_depth_m: how much deeper each further ring lies.
     """
 
@@ -26,6 +28,8 @@ class SegmentLayersConfig:
     smallest_island_m2: float = 0.003
     smallest_share: float = 0.005
     extended_rings: int = 2
+    beneath_m: float = 0.02
+    beneath_outer_m: float = 0.25
     ring_depth_m: float = 0.002
 
 

@@ -23,12 +23,17 @@ class LayerPart:
 
 
 def extract_part(
-    faces: np.ndarray, own: np.ndarray, allowed: np.ndarray, rings: int, vertex_count: int
+    faces: np.ndarray,
+    own: np.ndarray,
+    allowed: np.ndarray,
+    rings: int,
+    vertex_count: int,
+    beneath: np.ndarray | None = None,
 ) -> LayerPart:
-    """The faces marked `own`, and `rings` further rings of faces marked `allowed`.
+    """The faces marked `own`, `rings` further rings of faces marked `allowed`, and those marked `beneath`.
 
     Arguments:
-        faces: (F, 3). own, allowed: (F,) bool.
+        faces: (F, 3). own, allowed, beneath: (F,) bool; what lies beneath counts as the last ring.
     """
     taken = own.copy()
     ring = np.full(vertex_count, -1)
@@ -38,6 +43,10 @@ def extract_part(
         new = faces[grown].ravel()
         ring[new[ring[new] < 0]] = number
         taken |= grown
+    if beneath is not None:
+        new = faces[beneath & ~taken].ravel()
+        ring[new[ring[new] < 0]] = max(rings, 1)
+        taken |= beneath
     numbers = np.flatnonzero(ring >= 0)
     place = np.full(vertex_count, -1)
     place[numbers] = np.arange(len(numbers))

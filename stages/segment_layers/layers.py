@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
+from stages.segment_layers.beneath import faces_beneath
 from stages.segment_layers.config import SegmentLayersConfig
 from stages.segment_layers.extract import LayerPart, extract_part, join, sink
 from stages.segment_layers.orientation import outward_faces
@@ -20,8 +21,12 @@ from stages.shared.meshes.topology import vertex_normals
 
 _LABEL_ID = {name: label for label, name in LABELS.items()}
 SKIN, HAIR, SHOE = (_LABEL_ID[name] for name in ("skin", "hair", "shoe"))
+UPPER, OUTER = _LABEL_ID["upper"], _LABEL_ID["outer"]
 GARMENT_LABELS = tuple(_LABEL_ID[name] for name in ("lower", "upper", "outer"))  # inner to outer
 _OUTERMOST = (*reversed(GARMENT_LABELS), HAIR, SHOE, SKIN)
+_LEGS = (1, 2, 4, 5, 7, 8)
+_TORSO_AND_ARMS = (6, 9, 12, 13, 14, 16, 17, 18, 19)
+_ONE_PIECE = 0.15  # share of the weights on either half
 _SCAN_REACH = 0.02  # metres: body vertices take the colour of scan skin that is this near
 
 
@@ -63,10 +68,19 @@ class Template:
 def garment_layer(
     template: Template, labels: np.ndarray, label: int, config: SegmentLayersConfig
 ) -> dict[str, np.ndarray]:
-    """Mesh of one garment, its border tucked under the garments beside it; empty when it is not there."""
+    """Mesh of one garment, its border tucked under the garments beside it; empty when it is not there.
+
+    Beneath garments that lie over it, it goes on farther (`faces_beneath`).
+    """
     by_face = face_labels(labels, template.faces, _OUTERMOST)
+    own = by_face == label
     under = np.isin(by_face, [other for other in GARMENT_LABELS if other != label])
-    part = extract_part(template.faces, by_face == label, under, config.extended_rings, len(labels))
+    over = np.isin(by_face, GARMENT_LABELS[GARMENT_LABELS.index(label) + 1 :])
+    beneath = faces_beneath(template.world, template.faces, own, over, config.beneath_m, gap=0.01)
+    if label == UPPER:
+        outer = by_face == OUTER
+        beneath |= faces_beneath(template.world, template.faces, own, outer, config.beneath_outer_m)
+    part = extract_part(template.faces, own, under, config.extended_rings, len(labels), beneath)
     return _part_mesh(template, part, label, config.ring_depth_m)
 
 
@@ -135,3 +149,21 @@ def _part_mesh(template: Template, part: LayerPart, label: int, depth: float) ->
         "scan_colors": colors,
         "scan_seen": np.full(len(numbers), template.colors is not None, np.uint8),
     }
+
+
+def slots_of(layers: dict[str, dict[str, np.ndarray]]) -> dict[str, list[str]]:
+    """The places that each garment takes up: its own, or upper and lower for a dress or a jumpsuit.
+
+    A garment is one piece when the other of upper and lower is not there and a good part of its vertices
+    follows the torso and the arms, and a good part the legs.
+    """
+    found = {name: [name] for name in layers if name != "body"}
+    for name, other in (("upper", "lower"), ("lower", "upper")):
+        if name in layers and other not in layers:
+            mesh = layers[name]
+            weights = mesh["skin_weights"][mesh["ring"] == 0]
+            leg = float(weights[:, list(_LEGS)].sum(axis=1).mean()) if len(weights) else 0.0
+            torso = float(weights[:, list(_TORSO_AND_ARMS)].sum(axis=1).mean()) if len(weights) else 0.0
+            if min(leg, torso) > _ONE_PIECE:
+                found[name] = ["lower", "upper"]
+    return found

@@ -27,7 +27,7 @@ from stages.segment_layers.config import SegmentLayersConfig
 from stages.segment_layers.extract import join
 from stages.segment_layers.fill import fill_colors
 from stages.segment_layers.labelling import known_labels, label_vertices, tidy_labels
-from stages.segment_layers.layers import GARMENT_LABELS, Template, body_layer, garment_layer
+from stages.segment_layers.layers import GARMENT_LABELS, Template, body_layer, garment_layer, slots_of
 from stages.segment_layers.regions import vertex_areas
 from stages.shared.artifacts import Artifact, ExternalFiles, Workspace
 from stages.shared.artifacts.result import StageResult
@@ -106,6 +106,9 @@ def run(
         build.summary(**_summary(template, labels, source, layers, registered))
     summary = build.artifact.summary
     report.say("layers: " + ", ".join(summary["layers"]) + f" (labels from {source})")
+    for name, slots in summary["slots"].items():
+        if len(slots) > 1:
+            report.say(f"{name} is one piece: gw export-garment --layer {name} --slots {','.join(slots)}")
     return StageResult(build.artifact, summary)
 
 
@@ -213,6 +216,8 @@ def _summary(
         "frame": int(registered.summary["frame"]),
         "take": registered.summary.get("take"),
         "labels_from": source,
+        "slots": slots_of(layers),
+        "tucked_share": {name: float((mesh["ring"] > 0).mean()) for name, mesh in layers.items()},
         "area_shares": {name: float(shares[label]) for label, name in LABELS.items() if shares[label] > 0},
         "vertices": {name: len(mesh["vertices"]) for name, mesh in layers.items()},
         "colored_share": {

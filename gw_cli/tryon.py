@@ -61,6 +61,9 @@ def register(app: typer.Typer) -> None:
         ] = True,
         push: Annotated[bool, typer.Option(help="Let garments give way where the body is larger.")] = False,
         penetration: Penetration = True,
+        ground: Annotated[
+            bool, typer.Option(help="Keep the feet on the floor when legs are longer or shorter.")
+        ] = True,
         preset: Preset = "draft",
         dry_run: DryRun = False,
         as_json: Json = False,
@@ -93,6 +96,7 @@ def register(app: typer.Typer) -> None:
             push=push,
             restore=restore,
             penetration=penetration,
+            ground=ground,
         )
         if dry_run:
             console.plan(stage.plan(bundles, poses, output, config))

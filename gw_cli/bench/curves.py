@@ -77,9 +77,12 @@ def _run(
     """Train and score every run that is not done, then draw."""
     from stages.evaluate.curves import CurveFile, CurveViews, curve_figure, outfit_of, side_by_side
     from stages.evaluate.stage import check_config
+    from stages.pipeline import BAKE_MAPS
+    from stages.shared.artifacts import Workspace
     from stages.shared.artifacts.files import make_folders, write_whole
     from stages.shared.artifacts.pictures import encode_png
     from stages.shared.outfit.outfit import Outfit
+    from stages.shared.splat.cpu import warm_up
     from stages.train import stage
     from stages.train.method import settled
     from stages.train.watch import Watch
@@ -88,6 +91,8 @@ def _run(
     for run in runs.values():
         settled(run)
     views = CurveViews.of(subject, config)
+    most = 3 + len(Workspace(subject).require(BAKE_MAPS).summary["layers"])
+    warm_up(console, tuple(sorted({1, 4, 5, most})))  # compiling is nobody's training time
     make_folders(folder)
     scored = f"{config.splits} {config.frame_step} {config.test_frame_step} {config.cameras}"
     curves = CurveFile(folder / "curves.jsonl", scored)

@@ -8,7 +8,6 @@ import numpy as np
 
 from stages.shared.capture.take import Take
 from stages.shared.meshes.raycast import RayScene
-from stages.shared.metrics.silhouette import iou
 
 
 def filmed_frames(take: Take) -> list[int]:
@@ -33,7 +32,7 @@ def outline_agreement(
     for frame in frames:
         scene = RayScene(posed(frame), faces)
         scores = [
-            iou(scene.render(take.camera(camera)).hit, take.mask(camera, frame) > 127)
+            _agreement(scene.render(take.camera(camera)).hit, take.mask(camera, frame) > 127)
             for camera in cameras
             if take.has_image(camera, frame)
         ]
@@ -41,3 +40,9 @@ def outline_agreement(
         if known:
             found[frame] = float(np.mean(known))
     return found
+
+
+def _agreement(shown: np.ndarray, mask: np.ndarray) -> float | None:
+    """Intersection over union; None where both are empty. (The metrics stand above captures.)"""
+    union = int(np.logical_or(shown, mask).sum())
+    return int(np.logical_and(shown, mask).sum()) / union if union else None

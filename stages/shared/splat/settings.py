@@ -36,7 +36,7 @@ class SplatSettings:
     antialiased: multiply opacity by sqrt(det before / det after the blur) (Mip-Splatting, eq. 9).
     alpha_min: a Gaussian counts where its alpha reaches this. Larger is faster and coarser.
     transmittance_min: a pixel stops before the Gaussian that would take its transmittance to this or below;
-        0 never stops.
+        0 never stops, and alpha may then round to 1.
     precision: of the pictures on a CPU: "single", or "double" (slow; for tests and fine comparisons).
     """
 

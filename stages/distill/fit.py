@@ -8,11 +8,11 @@ import torch
 from torch import Tensor
 
 from stages.distill.config import DistillConfig
+from stages.distill.samples import Samples
 from stages.shared.avatar.blendshapes import (
     GROUPS,
     BlendshapeModel,
     BlendshapeSizes,
-    describe,
     gaussian_kernel,
     group_channels,
     neighbour_distance,
@@ -76,17 +76,14 @@ def components(values: Tensor, unit: float, tolerance: float, most: int) -> Comp
     )
 
 
-def fit_layer(
-    teacher: AvatarModel, residuals: Tensor, training: int, poses: list[Tensor], config: DistillConfig
-) -> Fit:
+def fit_layer(teacher: AvatarModel, residuals: Tensor, samples: Samples, config: DistillConfig) -> Fit:
     """The blendshapes of a layer.
 
     Arguments:
         teacher: the trained model; its free attributes are taken over.
-        residuals: (T, N, 14) its answers. training: how many of them, the first, are training poses.
-        poses: T bone transforms (55, 4, 4).
+        residuals: (T, N, 14) its answers to the samples.
     """
-    mean = residuals[:training].mean(dim=0)
+    mean = residuals[: samples.training].mean(dim=0)
     centred = residuals - mean
     units = {"offset": teacher.model_config.offset_scale, "color": 1.0, "form": 1.0}
     tolerances = (config.offset_tolerance, config.color_tolerance, config.form_tolerance)
@@ -95,12 +92,13 @@ def fit_layer(
         for group, tolerance, most in zip(GROUPS, tolerances, config.most, strict=True)
     }
     scores = torch.cat([part.scores for part in parts.values()], dim=1).double()
-    described = torch.stack([describe(pose) for pose in poses]).double()
-    width, ridge, unseen = _chosen_kernel(described, scores)
     counts = {group: part.scores.shape[1] for group, part in parts.items()}
     ranks = (counts["offset"], counts["color"], counts["form"])
     model_config = replace(teacher.model_config, decoder="blendshapes", ranks=ranks, anchors=0)
-    model = BlendshapeModel(teacher.maps, model_config, BlendshapeSizes(**counts, centres=len(poses)))
+    model = BlendshapeModel(teacher.maps, model_config, BlendshapeSizes(**counts, centres=len(samples.poses)))
+    motions = samples.motions(model_config.history)
+    described = model.fit_description(samples.poses, motions).double()
+    width, ridge, unseen = _chosen_kernel(described, scores)
     with torch.no_grad():
         for name, tensor in teacher.state().items():
             if name.startswith("base_"):

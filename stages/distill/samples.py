@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import roma
@@ -10,29 +11,52 @@ import torch
 from torch import Tensor
 
 from stages.distill.config import DistillConfig
+from stages.shared.avatar.motion import recent_motion
 from stages.shared.avatar.pose import frame_pose
 from stages.shared.body import BodyModel, Poses
 
 
-def sample_poses(
-    body: BodyModel, training: Poses, extra: Sequence[Poses], config: DistillConfig
-) -> tuple[list[Tensor], int]:
-    """Bone transforms (55, 4, 4) without shape and root of all poses to ask about; how many are training's.
+@dataclass(frozen=True)
+class Samples:
+    """Moments to ask a network about.
 
-    First the training poses, evenly spread; then blends of random pairs of them; then those of other motions.
+    Attributes:
+        poses: (55, 4, 4) bone transforms without shape and root, of each.
+        moments: the motion that each belongs to, and its row there.
+        training: how many of them, the first, are training poses.
+    """
+
+    poses: list[Tensor]
+    moments: list[tuple[Poses, int]]
+    training: int
+
+    def motions(self, memories: int) -> list[Tensor] | None:
+        """(H,) recent motion of each, as a model of so many memories wants it; None for none."""
+        if not memories:
+            return None
+        return [recent_motion(motion, row, memories) for motion, row in self.moments]
+
+
+def sample_poses(body: BodyModel, training: Poses, extra: Sequence[Poses], config: DistillConfig) -> Samples:
+    """The training poses, evenly spread; then blends of random pairs of them; then other motions.
+
+    A blend has the recent motion of the nearer of its two.
     """
     chosen = _evenly(training, config.training_poses)
     rotations = [torch.from_numpy(training.rotations[row]) for row in chosen]
+    moments: list[tuple[Poses, int]] = [(training, row) for row in chosen]
     draw = np.random.default_rng(config.seed)
-    blended = []
-    if len(rotations) > 1:
+    if len(chosen) > 1:
         for _ in range(config.blended_poses):
-            one, other = draw.choice(len(rotations), size=2, replace=False)
-            blended.append(blend_rotations(rotations[one], rotations[other], float(draw.uniform(0.25, 0.75))))
+            one, other = draw.choice(len(chosen), size=2, replace=False)
+            share = float(draw.uniform(0.0, 0.75))
+            rotations.append(blend_rotations(rotations[one], rotations[other], share))
+            moments.append((training, chosen[one if share < 0.5 else other]))
     for motion in extra:
-        rows = _evenly(motion, config.extra_poses)
-        blended += [torch.from_numpy(motion.rotations[row]) for row in rows]
-    return [_local(body, rotation) for rotation in rotations + blended], len(rotations)
+        for row in _evenly(motion, config.extra_poses):
+            rotations.append(torch.from_numpy(motion.rotations[row]))
+            moments.append((motion, row))
+    return Samples([_local(body, rotation) for rotation in rotations], moments, len(chosen))
 
 
 def blend_rotations(one: Tensor, other: Tensor, share: float) -> Tensor:

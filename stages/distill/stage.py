@@ -19,7 +19,7 @@ import torch
 
 from stages.distill.config import DistillConfig
 from stages.distill.fit import Fit, fit_layer
-from stages.distill.samples import sample_poses
+from stages.distill.samples import Samples, sample_poses
 from stages.pipeline import BAKE_MAPS, DISTILL, REGISTER_TEMPLATE, TRAIN
 from stages.shared.artifacts import Artifact, ExternalFiles, Workspace
 from stages.shared.artifacts.result import StageResult
@@ -59,13 +59,13 @@ def run(
         return StageResult(found, found.summary)
     body = BodyModel.from_arrays(registered.arrays("body.safetensors"))
     training = load_poses(registered.file("smpl_params.npz"), body)
-    poses, known = sample_poses(body, training, [load_poses(path, body) for path in motions], config)
-    summary: dict[str, Any] = {"poses": len(poses)}
+    samples = sample_poses(body, training, [load_poses(path, body) for path in motions], config)
+    summary: dict[str, Any] = {"poses": len(samples.poses)}
     with workspace.build(DISTILL, config, inputs, force=force) as build:
         layers = {}
         for name in trained.json("model.json")["layers"]:
             report.step(f"distilling {name}")
-            fit = _distilled(name, baked, trained, poses, known, config, report)
+            fit = _distilled(name, baked, trained, samples, config, report)
             build.write_arrays(f"{name}.safetensors", {k: v.numpy() for k, v in fit.model.state().items()})
             layers[name] = fit.model.config
             summary[name] = _figures(fit)
@@ -96,17 +96,19 @@ def _distilled(
     name: str,
     baked: Artifact,
     trained: Artifact,
-    poses: list[torch.Tensor],
-    known: int,
+    samples: Samples,
     config: DistillConfig,
     report: Report,
 ) -> Fit:
     teacher = layer_of_training(name, baked, trained).model
-    residuals = torch.empty(len(poses), len(teacher.maps), 14)
-    for index, pose in enumerate(poses):
-        residuals[index] = teacher.residual(pose)
-        report.progress(index + 1, len(poses))
-    return fit_layer(teacher, residuals, known, poses, config)
+    count = len(samples.poses)
+    residuals = torch.empty(count, len(teacher.maps), 14)
+    still: list[torch.Tensor | None] = [None] * count
+    motions = samples.motions(teacher.model_config.history) or still
+    for index, (pose, motion) in enumerate(zip(samples.poses, motions, strict=True)):
+        residuals[index] = teacher.residual(pose, motion=motion)
+        report.progress(index + 1, count)
+    return fit_layer(teacher, residuals, samples, config)
 
 
 def _figures(fit: Fit) -> dict[str, Any]:

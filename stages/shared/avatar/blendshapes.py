@@ -19,6 +19,7 @@ from torch import Tensor, nn
 
 from stages.shared.avatar.config import ModelConfig
 from stages.shared.avatar.maps import LayerMaps
+from stages.shared.avatar.motion import RATES, UP, motion_length
 from stages.shared.avatar.texel_attributes import CHANNELS, TexelAttributes
 from stages.shared.errors import BadData
 
@@ -30,6 +31,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
 }
 _MOST_CENTRES, _MOST_RANK = 4096, 256
 _LEAST_SPREAD = 1e-6
+_LEAST_MOTION = 0.05  # m/s, rad/s; less is noise, not motion
 
 
 def group_channels(group: str) -> list[int]:
@@ -50,31 +52,47 @@ class BlendshapeSizes:
 class PoseCoefficients(nn.Module):
     """Numbers c(pose) (K,) = Σ_m w_mk k(pose, centre_m), k a Gaussian of the distance between poses.
 
-    A pose is described by the rotations of the 22 body joints without the root, as matrix entries.
+    A pose is described by the rotations of the 22 body joints without the root, as matrix entries, and with
+    history by the recent motion, each of its numbers times a scale.
     """
 
-    centres: Tensor  # (M, 198) described poses
+    centres: Tensor  # (M, 198 + H) described poses
+    motion_scale: Tensor  # (H,)
     bandwidth: Tensor  # (1,)
     weights: Tensor  # (M, K)
 
-    def __init__(self, centres: int, count: int) -> None:
+    def __init__(self, centres: int, count: int, history: int) -> None:
         super().__init__()
-        self.register_buffer("centres", torch.zeros(centres, 9 * BODY_JOINTS))
+        moving = motion_length(history)
+        self.register_buffer("centres", torch.zeros(centres, 9 * BODY_JOINTS + moving))
+        self.register_buffer("motion_scale", torch.ones(moving))
         self.register_buffer("bandwidth", torch.ones(1))
         self.register_buffer("weights", torch.zeros(centres, count))
 
-    def kernel(self, described: Tensor) -> Tensor:
-        """(T, 198) -> (T, M) in 0..1."""
-        return gaussian_kernel(described, self.centres, self.bandwidth)
+    def describe(self, local_transforms: Tensor, motion: Tensor | None) -> Tensor:
+        """What tells poses apart: (198 + H,); no motion is a still pose."""
+        turned = local_transforms[:BODY_JOINTS, :3, :3].flatten()
+        moving = torch.zeros_like(self.motion_scale) if motion is None else motion * self.motion_scale
+        return torch.cat((turned, moving)) if len(moving) else turned
 
-    def forward(self, local_transforms: Tensor) -> Tensor:
-        """(55, 4, 4) bone transforms without shape and root -> (K,)."""
-        return (self.kernel(describe(local_transforms)[None]) @ self.weights)[0]
+    def forward(self, local_transforms: Tensor, motion: Tensor | None = None) -> Tensor:
+        """(55, 4, 4) bone transforms without shape and root, (H,) recent motion -> (K,)."""
+        described = self.describe(local_transforms, motion)[None]
+        return (gaussian_kernel(described, self.centres, self.bandwidth) @ self.weights)[0]
 
 
-def describe(local_transforms: Tensor) -> Tensor:
-    """What tells poses apart: (198,) rotation entries of the body joints of (55, 4, 4) bone transforms."""
-    return local_transforms[:BODY_JOINTS, :3, :3].flatten()
+def fitting_motion_scale(described: Tensor, motions: Tensor) -> Tensor:
+    """(H,) factors by which motion differs between poses as much as their rotations do, memory by memory.
+
+    Arguments:
+        described: (T, 198) rotations. motions: (T, H) of the same moments. Up stays as it is.
+    """
+    scale = torch.ones(motions.shape[1], dtype=motions.dtype)
+    turned = (described - described.mean(dim=0)).square().sum(dim=1).mean().sqrt()
+    memories = motions[:, UP:].reshape(len(motions), -1, RATES)
+    moved = (memories - memories.mean(dim=0)).square().sum(dim=2).mean(dim=0).sqrt()
+    scale[UP:] = (turned / moved.clamp(min=_LEAST_MOTION)).repeat_interleave(RATES)
+    return scale
 
 
 def gaussian_kernel(one: Tensor, other: Tensor, bandwidth: Tensor) -> Tensor:
@@ -97,7 +115,8 @@ class BlendshapeModel(TexelAttributes):
     def __init__(self, maps: LayerMaps, config: ModelConfig, sizes: BlendshapeSizes) -> None:
         super().__init__(maps, config)
         self.sizes = sizes
-        self.coefficients = PoseCoefficients(sizes.centres, sizes.offset + sizes.color + sizes.form)
+        count = sizes.offset + sizes.color + sizes.form
+        self.coefficients = PoseCoefficients(sizes.centres, count, config.history)
         self.register_buffer("mean_residual", maps.positions.new_zeros(len(maps), 14))
         for group in GROUPS:
             # Texels first: the product with the coefficients then reads memory once, in order.
@@ -130,7 +149,7 @@ class BlendshapeModel(TexelAttributes):
         Kernel principal components of the poses, each of unit variance over them: the bases that come first
         belong to the motion that there is most of.
         """
-        described = torch.stack([describe(pose) for pose in poses])
+        described = self.fit_description(poses, motions)
         chosen = spread_out(described, min(self.sizes.centres, len(described)))
         centres = described[chosen]
         bandwidth = neighbour_distance(centres).clamp(min=_LEAST_SPREAD) * 2.0
@@ -145,6 +164,15 @@ class BlendshapeModel(TexelAttributes):
             self.coefficients.weights[: len(centres), first : first + count] = unit[:, :count]
             first += getattr(self.sizes, group)
 
+    def fit_description(self, poses: list[Tensor], motions: list[Tensor] | None) -> Tensor:
+        """(T, 198 + H) descriptions of poses, after the scale of motion is set by them."""
+        if motions and self.model_config.history:
+            turned = torch.stack([pose[:BODY_JOINTS, :3, :3].flatten() for pose in poses])
+            self.coefficients.motion_scale.copy_(fitting_motion_scale(turned, torch.stack(motions)))
+        still: list[None] = [None] * len(poses)
+        pairs = zip(poses, motions or still, strict=True)
+        return torch.stack([self.coefficients.describe(pose, motion) for pose, motion in pairs])
+
     def fit_mean(self, poses: list[Tensor], motions: list[Tensor] | None = None) -> None:
         """Nothing is left to do after training: the kernel itself fades."""
 
@@ -152,7 +180,8 @@ class BlendshapeModel(TexelAttributes):
         self, local_transforms: Tensor, cosines: Tensor | None = None, motion: Tensor | None = None
     ) -> Tensor:
         """Pose-dependent part (N, 14); see `TexelAttributes.residual`."""
-        values = self.coefficients(local_transforms).split([getattr(self.sizes, group) for group in GROUPS])
+        values = self.coefficients(local_transforms, motion)
+        values = values.split([getattr(self.sizes, group) for group in GROUPS])
         parts = [getattr(self, f"basis_{group}") @ part for group, part in zip(GROUPS, values, strict=True)]
         return self.mean_residual + torch.cat(parts, dim=1)[:, self.channel_order]
 

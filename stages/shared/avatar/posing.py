@@ -18,6 +18,7 @@ from torch import Tensor
 
 from stages.shared.avatar.blendshapes import GROUPS, BlendshapeModel, group_channels
 from stages.shared.avatar.deform import shaped_positions
+from stages.shared.avatar.pose import FramePose
 from stages.shared.avatar.posing_kernel import BLOCK, pose_texels
 from stages.shared.avatar.texel_attributes import CHANNELS, MIN_SCALE, TexelAttributes
 from stages.shared.splat.kernels.threads import run_together
@@ -67,7 +68,7 @@ class PosedLayer:
         self, model: TexelAttributes, betas: Tensor, replacements: tuple[Replacement, ...] = ()
     ) -> None:
         config, self.model = model.model_config, model
-        self.bases = _blocks(model)
+        self.bases, self.history = _blocks(model), config.history
         self.rest = shaped_positions(model.maps, betas).numpy()
         base = torch.cat(
             [getattr(model, f"base_{name}").detach().reshape(len(model.maps), -1) for name in CHANNELS], 1
@@ -85,22 +86,21 @@ class PosedLayer:
         self.bounded = config.color == "sigmoid"
         self.replacements = _stacked(replacements, len(self.rest))
 
-    def pose(
-        self, local_transforms: Tensor, transforms: Tensor, out: PosedBuffers, cosines: Tensor | None = None
-    ) -> None:
+    def pose(self, pose: FramePose, out: PosedBuffers, motion: Tensor | None = None) -> None:
         """Pose the layer.
 
         Arguments:
-            local_transforms: (55, 4, 4) the pose without shape and root, for the decoder.
-            transforms: (55, 4, 4) posed_from_canonical, canonical to world.
-            out: overwritten. cosines: of view-conditioned models, see `TexelAttributes.residual`.
+            pose: of the frame; its betas are not used. out: overwritten.
+            motion: `recent_motion`, None for a still pose or a model without history.
         """
         model = self.model
         if isinstance(model, BlendshapeModel):
-            residual, coefficients = model.mean_residual, model.coefficients(local_transforms)
+            residual = model.mean_residual
+            coefficients = model.coefficients(pose.local_transforms, motion)
         else:
-            residual, coefficients = model.residual(local_transforms, cosines), local_transforms.new_zeros(0)
-        matrices = np.ascontiguousarray(transforms.numpy()[:, :3, :], dtype=np.float32)
+            residual = model.residual(pose.local_transforms, motion=motion)
+            coefficients = residual.new_zeros(0)
+        matrices = np.ascontiguousarray(pose.transforms.numpy()[:, :3, :], dtype=np.float32)
         run_together(
             pose_texels, residual.numpy(), coefficients.numpy(), *self.bases, _CHANNELS,
             self.base, self.limits, self.bounded, self.rest,

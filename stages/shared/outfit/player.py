@@ -9,6 +9,7 @@ import numpy as np
 import torch
 
 from stages.shared.avatar.compose import Composite
+from stages.shared.avatar.motion import recent_motion
 from stages.shared.avatar.pose import FramePose, frame_pose
 from stages.shared.avatar.posing import PosedBuffers, PosedLayer, Replacement
 from stages.shared.body import Poses
@@ -66,8 +67,10 @@ class Player:
         if self._plain:
             return self.outfit.composite(poses, frame)
         pose = self._posed_bones(poses, frame)
+        histories = {posed.history for posed in self._layers if posed.history}
+        motions = {history: recent_motion(poses, frame, history) for history in histories}
         for posed, out in zip(self._layers, self._parts, strict=True):
-            posed.pose(pose.local_transforms, pose.transforms, out)
+            posed.pose(pose, out, motions.get(posed.history))
         return self._composite
 
     def _posed_bones(self, poses: Poses, frame: int) -> FramePose:

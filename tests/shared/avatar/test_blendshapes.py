@@ -11,7 +11,6 @@ from stages.shared.avatar.blendshapes import (
     GROUPS,
     BlendshapeModel,
     BlendshapeSizes,
-    describe,
     group_channels,
 )
 from stages.shared.avatar.config import ModelConfig
@@ -55,7 +54,9 @@ def test_a_fresh_model_is_the_baked_surface() -> None:
 def test_the_residual_is_mean_plus_coefficients_times_bases() -> None:
     model, pose = _fitted(), _pose(0.4)
     model.mean_residual.normal_(generator=torch.Generator().manual_seed(2))
-    squared = (describe(pose) - model.coefficients.centres).double().square().sum(dim=1)
+    squared = (
+        (model.coefficients.describe(pose, None) - model.coefficients.centres).double().square().sum(dim=1)
+    )
     kernel = torch.exp(-squared / (2 * model.coefficients.bandwidth.double() ** 2))
     coefficients = kernel @ model.coefficients.weights.double()
     expected = model.mean_residual.double().clone()
@@ -125,3 +126,17 @@ def test_one_training_pose_is_enough() -> None:
     model = BlendshapeModel(tube(), CONFIG, BlendshapeSizes(3, 2, 1, 1))
     model.fit_input(POSES[:1])
     assert torch.isfinite(model.residual(POSES[3])).all()
+
+
+def test_with_history_the_same_pose_in_other_motion_has_other_coefficients() -> None:
+    config = ModelConfig(decoder="blendshapes", ranks=(3, 2, 1), history=2)
+    model = new_model(tube(), config, len(POSES))
+    assert isinstance(model, BlendshapeModel)
+    length = model.coefficients.motion_scale.shape[0]
+    motions = [torch.zeros(length) for _ in POSES]
+    for index, motion in enumerate(motions):
+        motion[3:10] = 0.5 * (-1) ** index
+    model.fit_input(POSES, motions)
+    still, moving = model.coefficients(POSES[2]), model.coefficients(POSES[2], motions[2])
+    assert not torch.allclose(still, moving, atol=1e-3)
+    assert torch.allclose(still, model.coefficients(POSES[2], torch.zeros(length)))

@@ -12,6 +12,7 @@ from stages.shared.avatar.blendshapes import BlendshapeModel, BlendshapeSizes
 from stages.shared.avatar.config import ModelConfig
 from stages.shared.avatar.deform import pose_layer, rotation_matrices
 from stages.shared.avatar.model import LayerModel
+from stages.shared.avatar.pose import FramePose
 from stages.shared.avatar.posing import PosedBuffers, PosedLayer, Replacement
 from stages.shared.avatar.texel_attributes import TexelAttributes
 from stages.shared.outfit.restore import Restoration, restored
@@ -85,7 +86,7 @@ def test_fused_posing_is_the_plain_one(kind: str, swaps: int) -> None:
         if skin is not None:
             bare = (skin.weights[:, 0].numpy(), skin.offsets.numpy())
             replaced.insert(0, Replacement(*bare, colors=skin.colors.numpy()))
-        PosedLayer(model, BETAS, tuple(replaced)).pose(pose, world, out)
+        PosedLayer(model, BETAS, tuple(replaced)).pose(FramePose(world, pose, BETAS), out)
     np.testing.assert_allclose(out.means, plain.means, atol=5e-6)
     # A slerp of nearly opposite quaternions is ill-conditioned; elsewhere covariances agree to rounding.
     np.testing.assert_allclose(out.covariances, plain.covariances, atol=2e-7)
@@ -111,7 +112,7 @@ def test_one_and_two_threads_give_the_same_bytes() -> None:
         for count in (1, 2):
             torch.set_num_threads(count)
             out = _buffers(len(model.maps))
-            layer.pose(torch.eye(4).repeat(55, 1, 1), world, out)
+            layer.pose(FramePose(world, torch.eye(4).repeat(55, 1, 1), BETAS), out)
             results.append(b"".join(a.tobytes() for a in (out.means, out.covariances, out.colors)))
     finally:
         torch.set_num_threads(threads)

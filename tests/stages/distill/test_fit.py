@@ -8,7 +8,7 @@ import torch
 
 from stages.distill.config import DistillConfig
 from stages.distill.fit import components, fit_layer
-from stages.distill.samples import blend_rotations
+from stages.distill.samples import Samples, blend_rotations
 from stages.shared.avatar.blendshapes import GROUPS, BlendshapeModel, BlendshapeSizes, group_channels
 from stages.shared.avatar.config import ModelConfig
 from stages.shared.avatar.deform import rotation_matrices
@@ -39,6 +39,10 @@ def _teacher(centres: int = 3) -> BlendshapeModel:
 
 
 POSES = [_pose(0.08 * a, -0.1 * b) for a in range(8) for b in range(5)]
+
+
+def _samples(poses: list[torch.Tensor]) -> Samples:
+    return Samples(poses, [], len(poses))
 
 
 @pytest.mark.parametrize("most", [1, 3, 9])
@@ -73,7 +77,7 @@ def test_a_pupil_answers_as_its_teacher() -> None:
     with torch.no_grad():
         residuals = torch.stack([teacher.residual(pose) for pose in POSES])
         config = DistillConfig(offset_tolerance=1e-5, color_tolerance=1e-4, form_tolerance=1e-4)
-        pupil = fit_layer(teacher, residuals, len(POSES), POSES, config)
+        pupil = fit_layer(teacher, residuals, _samples(POSES), config)
         unseen = _pose(0.21, -0.17)
         expected, found = teacher(unseen), pupil.model(unseen)
     spread = residuals.std(dim=0).mean()
@@ -90,7 +94,7 @@ def test_free_attributes_are_taken_over() -> None:
     with torch.no_grad():
         teacher.base_offset.add_(0.01)
         residuals = torch.stack([teacher.residual(pose) for pose in POSES[:6]])
-        pupil = fit_layer(teacher, residuals, 6, POSES[:6], DistillConfig()).model
+        pupil = fit_layer(teacher, residuals, _samples(POSES[:6]), DistillConfig()).model
     for name in ("offset", "quaternion", "opacity", "scale", "color"):
         assert torch.equal(getattr(pupil, f"base_{name}"), getattr(teacher, f"base_{name}")), name
 

@@ -48,7 +48,7 @@ def test_frames_share_memory_and_a_long_motion_crosses_blocks() -> None:
 
 
 def test_recent_motion_is_played() -> None:
-    """A garment that remembers motion hangs otherwise in the middle of a movement than in the same still pose."""
+    """A garment that remembers motion hangs otherwise in a movement than in the same still pose."""
     poses = motion(20)
     dressed = outfit_of_bundles(NAMED[:1])
     piece = worn("upper")
@@ -56,6 +56,7 @@ def test_recent_motion_is_played() -> None:
     model = LayerModel(piece.maps, config)
     bones = [frame_pose(dressed.body_model, *_moment(poses, row)).local_transforms for row in (0, 6, 12, 18)]
     model.fit_input(bones, [recent_motion(poses, row, 2) for row in (0, 6, 12, 18)])
+    assert model.anchors is not None
     with torch.no_grad():
         model.anchors.offsets.normal_(0, 0.02, generator=torch.Generator().manual_seed(0))
     model.requires_grad_(False)

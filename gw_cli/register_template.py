@@ -41,6 +41,16 @@ def register(app: typer.Typer) -> None:
         refine: Annotated[
             bool, typer.Option("--refine", help="Improve the capture's poses by masks (and the scan).")
         ] = False,
+        fit_body_model: Annotated[
+            Path | None,
+            typer.Option(help="Model the poses were fitted with (gendered), if not --body-model: converted."),
+        ] = None,
+        virtual_cameras: Annotated[
+            int,
+            typer.Option(
+                min=0, max=64, help="Cameras rendered around the scans of every frame (4D-DRESS: 12)."
+            ),
+        ] = 0,
         capture_format: Annotated[str | None, typer.Option("--format", help="Layout of the capture.")] = None,
         preset: Preset = "draft",
         force: Force = False,
@@ -50,7 +60,9 @@ def register(app: typer.Typer) -> None:
         """Check that body and masks fit, and get the dressed surface of one frame.
 
         The body of the poses is projected into the masks; if it does not fit, the command refuses and says
-        what it tried. The picture SUBJECT/register-template/*/overlay.png shows the fit.
+        what it tried. The picture SUBJECT/register-template/*/overlay.png shows the fit. Without poses --fit
+        finds them: gw register-template CAPTURE -o SUBJECT --fit. A lone mesh is cleaned (unit, up axis,
+        faces inside out, doubled vertices), and the body is fitted into it.
         """
         from stages.register_template import stage
         from stages.register_template.config import PRESETS
@@ -63,10 +75,19 @@ def register(app: typer.Typer) -> None:
             )
         poses = "fit" if fit else "refine" if refine else "given"
         config = replace(
-            preset_config(PRESETS, preset), template=template, frame=frame, take=take, poses=poses
+            preset_config(PRESETS, preset),
+            template=template,
+            frame=frame,
+            take=take,
+            poses=poses,
+            virtual_cameras=virtual_cameras,
         )
         if dry_run:
-            console.plan(stage.plan(given, subject, config, body_model, params, capture_format))
+            console.plan(
+                stage.plan(given, subject, config, body_model, params, capture_format, fit_body_model)
+            )
             return
-        result = stage.run(given, subject, config, console, body_model, params, capture_format, force)
+        result = stage.run(
+            given, subject, config, console, body_model, params, capture_format, force, fit_body_model
+        )
         console.result(result.summary, next_command=f"gw canonicalize {subject}")

@@ -20,12 +20,14 @@ class RegisterTemplateConfig:
         bar: least share of the projected body that must lie inside the masks.
         hull_pitch_m: distance of the nodes at which the hull is carved, metres.
         hull_reach_m: how far from the body model the hull may go, metres.
+        hull_rounded: whether the hull is cut down to the thickness seen around the body, between the views.
         smoothing_steps: rounds of smoothing of a hull that shrink nothing.
         edge_m: length of the edges of a hull after remeshing, metres.
         most_faces: scans with more faces are simplified.
         fit_steps: 120 gives every level of a fit all of its steps, less a share of them.
         poses: "given" (the capture's own, checked), "fit" (found from masks and scan), "refine" (the
             capture's own as the start).
+        virtual_cameras: how many cameras are rendered around the scans in place of the capture's own; 0 none.
     """
 
     template: str = "auto"
@@ -34,11 +36,13 @@ class RegisterTemplateConfig:
     bar: float = 0.90
     hull_pitch_m: float = 0.008
     hull_reach_m: float = 0.35
+    hull_rounded: bool = True
     smoothing_steps: int = 8
     edge_m: float = 0.010
     most_faces: int = 200_000
     fit_steps: int = 120
     poses: str = "given"
+    virtual_cameras: int = 0
 
 
 PRESETS: dict[str, RegisterTemplateConfig] = {

@@ -29,11 +29,12 @@ def register_capture(source: Source, config: RegisterTemplateConfig, report: Rep
     assert capture is not None and take is not None
     for note in capture.notes:
         report.say(note)
-    fitted: dict[str, Poses] = {}
+    fitted = dict(source.converted)
     told: dict[str, Any] = {}
     if source.fits_body:
-        fitted, told = _fit(source, capture, take, config, report)
-        capture = with_poses(capture, fitted)
+        found, told = _fit(source, capture, take, config, report)
+        fitted |= found
+        capture = with_poses(capture, found)
         take = capture.take(take.name)
     frame = source.frame if source.frame is not None else choose_frame(body, take.poses, take.frames)
     report.step("projecting the body into the masks")
@@ -68,7 +69,11 @@ def register_capture(source: Source, config: RegisterTemplateConfig, report: Rep
             "frames_checked": list(alignment.frames),
             "rows_of_takes": rows,
             "template": how,
-            "fit": told | {"parameters": config.poses if fitted else "given"},
+            "fit": told
+            | {
+                "parameters": config.poses if source.fits_body else "given",
+                "converted_takes": sorted(source.converted),
+            },
             "body": {"vertices": len(body.template_vertices), "digest": body.digest},
             **numbers,
         },

@@ -19,7 +19,8 @@ from stages.shared.capture.projection import sample_bilinear
 from stages.shared.capture.take import MASK_THRESHOLD, Take
 from stages.shared.errors import BadData
 from stages.shared.meshes.mesh import Mesh
-from stages.shared.meshes.topology import adjacency, components, keep_faces
+from stages.shared.meshes.raycast import RayScene
+from stages.shared.meshes.topology import adjacency, components, keep_faces, vertex_normals
 from stages.shared.report import Report
 
 Doubles = NDArray[np.float64]
@@ -30,6 +31,10 @@ _COARSENESS = 4
 # How far clothes and hair may go without being asked, how far what one part of the body needs holds for the
 # parts around it, and what is allowed on top of the need; metres.
 _ALWAYS_M, _SPREAD_M, _SLACK_M = 0.04, 0.15, 0.02
+# Rounding: how near to a mask's edge a node touches it (grid steps), how many seen thicknesses make one, how
+# far they reach over the body, and what a turn of its normal by one radian counts (metres).
+_TOUCHING_STEPS, _CURVES, _CURVE_SPREAD_M, _NORMAL_M = 1.5, 16, 0.05, 0.08
+_BETWEEN_M = 0.4  # what has the body before and behind it nearer than this lies between two parts of it
 _BIN_STEPS = 1.5  # side of the bins in which pixels are compared, in projected grid steps
 
 
@@ -41,7 +46,15 @@ class Silhouette:
     distance: NDArray[np.float32]
 
 
-def carve(take: Take, frame: int, body_vertices: Doubles, pitch: float, reach: float, report: Report) -> Mesh:
+def carve(
+    take: Take,
+    frame: int,
+    body_vertices: Doubles,
+    pitch: float,
+    reach: float,
+    report: Report,
+    body_faces: NDArray[np.integer] | None = None,
+) -> Mesh:
     """The hull of the masks of one frame as a closed mesh; its largest part only.
 
     Arguments:
@@ -49,6 +62,8 @@ def carve(take: Take, frame: int, body_vertices: Doubles, pitch: float, reach: f
         body_vertices: (V, 3) posed body, world, metres: where to look, and how far to go.
         pitch: metres between grid nodes. It grows when the grid would be too large.
         reach: metres; nothing farther from the body belongs to the person.
+        body_faces: (F, 3); with them the hull is rounded between the views (`_rounded`), without it is left
+            as the masks alone give it.
 
     Raises:
         BadData: fewer than three cameras, an empty mask, masks that have no volume in common.
@@ -82,6 +97,8 @@ def carve(take: Take, frame: int, body_vertices: Doubles, pitch: float, reach: f
         pitch = float(finest)
     grid = _grid(low, high, pitch)
     values = _without_ghosts(_field(grid, silhouettes), grid, silhouettes, body_vertices, reach)
+    if body_faces is not None:
+        values = _rounded(values, grid, silhouettes, body_vertices, body_faces)
     vertices, faces, _ = igl.marching_cubes(values, grid.nodes(), *grid.shape[::-1], 0.0)
     if not len(faces):
         raise BadData(
@@ -202,6 +219,67 @@ def _without_ghosts(
     limited = values.copy()
     limited[inside] = np.minimum(values[inside], np.maximum(room, -grid.pitch))
     return limited
+
+
+def _rounded(
+    values: Doubles,
+    grid: _Grid,
+    silhouettes: list[Silhouette],
+    body: Doubles,
+    faces: NDArray[np.integer],
+) -> Doubles:
+    """The field cut down to the distance from the body that was seen, interpolated between the views.
+
+    Every ray through a mask's edge touches the person somewhere: most likely where it comes nearest to the
+    body. That gives the thickness of what is worn along curves around the body, one for each view. Between
+    the curves a hull has the corners of a polygon; the thickness interpolated over the body has not. Between
+    two parts of the body (the legs in a skirt, the arm and the trunk) nothing is cut.
+    """
+    inside = np.flatnonzero(values > 0)
+    nodes = grid.nodes()[inside]
+    scene, normals = RayScene(body, faces), vertex_normals(body, faces).astype(np.float64)
+    place, face, shares = scene.closest(nodes)
+    way = nodes - place
+    facing = np.einsum("ns,nsc->nc", shares, normals[faces[face]])
+    distance = np.linalg.norm(way, axis=1) * np.sign(np.einsum("nc,nc->n", way, facing))
+    nearest = faces[face, shares.argmax(axis=1)]
+    known, thickness = _touched(grid, silhouettes, nodes, distance, nearest)
+    features = np.concatenate([body, _NORMAL_M * normals], axis=1)
+    apart, around = cKDTree(features[known]).query(features, min(_CURVES, len(known)))
+    weights = np.exp(-((apart / _CURVE_SPREAD_M) ** 2) / 2) + 1e-6
+    worn = (weights * thickness[around]).sum(axis=1) / weights.sum(axis=1)
+    allowed = np.einsum("ns,ns->n", shares, worn[faces[face]])
+    beyond = scene.first_hits(nodes + 0.002 * facing, facing).distance
+    room = np.where((beyond < _BETWEEN_M) | (distance < 0), np.inf, allowed - distance)
+    result = values.copy()
+    result[inside] = np.minimum(values[inside], np.maximum(room, -grid.pitch))
+    return result
+
+
+def _touched(
+    grid: _Grid, silhouettes: list[Silhouette], nodes: Doubles, distance: Doubles, nearest: NDArray
+) -> tuple[NDArray[np.intp], Doubles]:
+    """Body vertices (K,) next to which a mask's edge touches the person, and how far from the body (K,).
+
+    Arguments:
+        nodes: (N, 3) inside the hull, with their signed distance (N,) to the body and nearest vertex (N,).
+    """
+    places, worn = [], []
+    for one in silhouettes:
+        pixels, depth = one.camera.project(nodes)
+        seen = np.flatnonzero(one.camera.in_view(pixels))
+        from_edge = sample_bilinear(one.distance, pixels[seen])[:, 0] * depth[seen] / _focal(one.camera)
+        touching = seen[from_edge < _TOUCHING_STEPS * grid.pitch]
+        left_over = from_edge[from_edge < _TOUCHING_STEPS * grid.pitch]
+        side = np.ceil(_BIN_STEPS * grid.pitch * _focal(one.camera) / np.median(depth))
+        columns = int(np.ceil(one.camera.width / side)) + 1
+        spots = pixels[touching] // side
+        bins = spots[:, 1].astype(np.int64) * columns + spots[:, 0].astype(np.int64)
+        order = np.lexsort((distance[touching] + left_over, bins))
+        first = order[np.unique(bins[order], return_index=True)[1]]
+        places.append(nearest[touching[first]])
+        worn.append(distance[touching[first]] + left_over[first])
+    return np.concatenate(places), np.concatenate(worn)
 
 
 def _focal(camera: Camera) -> float:

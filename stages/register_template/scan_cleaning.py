@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
+import igl
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,6 +22,7 @@ _SHORTEST, _LONGEST = 1.2, 2.4  # largest side of a person's box, metres
 _WELD_M = 1e-6
 _CLUSTERED_FROM = 3  # times the most faces: edge collapse takes minutes beyond
 _RAYS = 6  # to either side of a face
+_FACES_ASKED = 20_000
 _LIFT_M = 5e-4
 _PERSON_TALL, _PERSON_AREA, _APART_M = 0.6, 0.2, 0.35  # shares of the mesh; between middles of two people
 
@@ -110,22 +112,34 @@ def weld(mesh: Mesh) -> tuple[Mesh, int, int]:
 
 
 def outward_faces(mesh: Mesh, seed: int = 0) -> tuple[Mesh, int]:
-    """The mesh with every face turned to the side from which more rays escape, and how many were turned."""
-    normals = face_normals(mesh.vertices, mesh.faces)[0]
-    middles = mesh.vertices[mesh.faces].astype(np.float64).mean(axis=1)
-    directions = np.random.default_rng(seed).normal(size=(_RAYS, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    """The mesh with its faces turned outward, and how many had to be turned.
+
+    Neighbouring faces are made to agree; each connected patch is then turned to the side from which more rays
+    escape, so a few faces in a fold do not decide.
+    """
+    agreeing, patch = igl.bfs_orient(np.ascontiguousarray(mesh.faces, dtype=np.int64))
+    patch = np.asarray(patch).reshape(-1)
+    normals, areas = face_normals(mesh.vertices, agreeing)
+    random = np.random.default_rng(seed)
+    some = random.permutation(len(agreeing))[:_FACES_ASKED]
+    small = np.unique(patch, return_index=True)[1]  # every patch is asked at least once
+    some = np.unique(np.concatenate([some, small]))
+    middles = mesh.vertices[agreeing[some]].astype(np.float64).mean(axis=1)
     scene = RayScene(mesh.vertices, mesh.faces)
-    free = np.zeros((2, len(middles)), np.int32)
-    for direction in directions:
-        upward = np.where((normals @ direction)[:, None] > 0, direction, -direction)
+    free = np.zeros((2, len(some)), np.int32)
+    for direction in random.normal(size=(_RAYS, 3)):
+        direction /= np.linalg.norm(direction)
+        upward = np.where((normals[some] @ direction)[:, None] > 0, direction, -direction)
         for side, sign in enumerate((1.0, -1.0)):
-            rays = sign * (upward + 0.5 * normals)
-            free[side] += ~scene.first_hits(middles + sign * _LIFT_M * normals, rays).hit
-    turned = free[1] > free[0]
-    faces = mesh.faces.copy()
-    faces[turned] = faces[turned][:, ::-1]
-    return replace(mesh, faces=faces), int(turned.sum())
+            rays = sign * (upward + 0.5 * normals[some])
+            free[side] += ~scene.first_hits(middles + sign * _LIFT_M * normals[some], rays).hit
+    votes = np.bincount(patch[some], (free[0] - free[1]) * areas[some], minlength=patch.max() + 1)
+    faces = np.where((votes < 0)[patch][:, None], agreeing[:, ::-1], agreeing)
+    before = face_normals(mesh.vertices, mesh.faces)[0]
+    turned = np.einsum("fc,fc->f", face_normals(mesh.vertices, faces)[0], before) < 0
+    # Faces that keep their side keep the order of their corners, too.
+    kept = np.where(turned[:, None], mesh.faces[:, ::-1], mesh.faces)
+    return replace(mesh, faces=kept), int(turned.sum())
 
 
 def refuse_two_people(mesh: Mesh, where: str) -> None:

@@ -14,7 +14,9 @@ from stages.register_template.config import RegisterTemplateConfig
 from stages.register_template.frame_choice import choose_frame
 from stages.shared.artifacts import ExternalFiles
 from stages.shared.body import BodyModel, Poses, embedded_body, load_body, posed_vertices
+from stages.shared.body.convert import convert_poses
 from stages.shared.capture import Capture, Take, open_capture
+from stages.shared.capture.open_capture import with_poses
 from stages.shared.errors import MissingInput, UsageProblem
 from stages.shared.meshes.mesh import Mesh
 
@@ -27,6 +29,7 @@ class Source:
         template: "scan", "hull", "body" or "mesh".
         frame: row of the template in the poses; None while there are none to choose it by.
         inputs: the files that are read, for the artifact's key.
+        converted: poses of takes that were fitted with another body model, for the one in use.
         fits_body: whether the body has to be fitted; a hull's frame is chosen after that when none is given.
     """
 
@@ -40,6 +43,7 @@ class Source:
     params: Path | None = None
 
     fits_body: bool = False
+    converted: dict[str, Poses] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,13 +72,28 @@ def body_of(body_model: Path | None, capture: Capture | None) -> BodyModel:
 
 
 def capture_source(
-    root: Path, config: RegisterTemplateConfig, body_model: Path | None, format: str | None
+    root: Path,
+    config: RegisterTemplateConfig,
+    body_model: Path | None,
+    format: str | None,
+    fit_body_model: Path | None = None,
 ) -> Source:
-    """Open a capture and decide on take, frame and kind of template."""
+    """Open a capture and decide on take, frame and kind of template.
+
+    Arguments:
+        fit_body_model: model that the capture's poses were fitted with, when it is not the one to be used.
+    """
     given = load_body(body_model) if body_model is not None else None
     fits = config.poses != "given"
-    capture = open_capture(root, format, given, poses_needed=not fits)
+    fitted_with = None if fit_body_model is None else load_body(fit_body_model)
+    capture = open_capture(root, format, fitted_with or given, poses_needed=not fits)
     body = given or body_of(None, capture)
+    converted: dict[str, Poses] = {}
+    if fitted_with is not None:
+        converted = {
+            one.name: convert_poses(one.poses, fitted_with, body) for one in capture.takes if one.posed
+        }
+        capture = with_poses(capture, converted)
     take = _take(capture, config)
     fits = fits and (config.poses == "refine" or any(not one.posed for one in capture.takes))
     template, frame = _template_and_frame(take, body, config, fits)
@@ -97,7 +116,10 @@ def capture_source(
         inputs["body_model"] = ExternalFiles("body_model", Path(body_model).parent, [Path(body_model)])
     elif capture.body_model_path is not None:
         inputs["capture/body"] = _files(capture, "body", [capture.body_model_path])
-    return Source(body, template, inputs, frame, capture, take, fits_body=fits)
+    if fit_body_model is not None:
+        path = Path(fit_body_model)
+        inputs["fit_body_model"] = ExternalFiles("fit_body_model", path.parent, [path])
+    return Source(body, template, inputs, frame, capture, take, fits_body=fits, converted=converted)
 
 
 def mesh_source(

@@ -34,6 +34,7 @@ from stages.register_template.sources import (
     capture_source,
     mesh_source,
 )
+from stages.register_template.virtual_capture import virtual_capture
 from stages.shared.artifacts import Workspace
 from stages.shared.artifacts.build import Build
 from stages.shared.artifacts.result import StageResult
@@ -44,6 +45,7 @@ from stages.shared.plan import Plan
 from stages.shared.report import SILENT, Report
 
 FITTED = "poses"
+VIRTUAL = "virtual-capture"
 _ABOUT = {
     "vertices": "m world (V,3)",
     "faces": "vertex numbers (F,3)",
@@ -61,6 +63,7 @@ def run(
     params: Path | None = None,
     format: str | None = None,
     force: bool = False,
+    fit_body_model: Path | None = None,
 ) -> StageResult:
     """Register the capture or mesh `given` as the workspace `subject`.
 
@@ -68,6 +71,8 @@ def run(
         body_model: file that overrides the capture's own body model and the embedded one.
         params: pose file with the body fit of a mesh; without it the body is fitted.
         format: layout of the capture; None finds out.
+        fit_body_model: model that the capture's poses were fitted with, when it is not the one to be used
+            (gendered fits, a neutral model in use): the poses are converted.
 
     Raises:
         MissingInput: the capture, mesh, body model or something in them is not there.
@@ -75,7 +80,10 @@ def run(
         UsageProblem: a template, take or frame that there is none of.
     """
     workspace = Workspace(subject)
-    source = _source(given, config, body_model, params, format)
+    if config.virtual_cameras:
+        given, format = _virtual(given, subject, config, report, body_model, format, force, fit_body_model)
+        fit_body_model = None
+    source = _source(given, config, body_model, params, format, fit_body_model)
     settings = {**asdict(config), "body": source.body.digest}
     found = None if force else workspace.find(REGISTER_TEMPLATE, settings, source.inputs)
     if found:
@@ -103,9 +111,10 @@ def plan(
     body_model: Path | None = None,
     params: Path | None = None,
     format: str | None = None,
+    fit_body_model: Path | None = None,
 ) -> Plan:
     """What `run` would read, write and cost."""
-    source = _source(given, config, body_model, params, format)
+    source = _source(given, config, body_model, params, format, fit_body_model)
     hull = source.template == "hull"
     nodes = 0.6 / config.hull_pitch_m**3
     return Plan(
@@ -119,12 +128,34 @@ def plan(
     )
 
 
+def _virtual(
+    given: Path,
+    subject: Path,
+    config: RegisterTemplateConfig,
+    report: Report,
+    body_model: Path | None,
+    format: str | None,
+    force: bool,
+    fit_body_model: Path | None,
+) -> tuple[Path, str]:
+    """Render the capture's scans into `SUBJECT/virtual-capture`; give its path and layout."""
+    if not Path(given).is_dir():
+        raise UsageProblem(
+            "Virtual cameras are put around the scans of a capture.", str(given), "Give a capture."
+        )
+    source = capture_source(Path(given), config, body_model, format, fit_body_model)
+    assert source.capture is not None
+    folder = Path(subject) / VIRTUAL
+    return virtual_capture(source.capture, folder, config.virtual_cameras, report, force=force), "native"
+
+
 def _source(
     given: Path,
     config: RegisterTemplateConfig,
     body_model: Path | None,
     params: Path | None,
     format: str | None,
+    fit_body_model: Path | None = None,
 ) -> Source:
     """The capture or mesh, its body model, and the template's take and frame."""
     if config.template not in TEMPLATES:
@@ -145,7 +176,7 @@ def _source(
                 "option --params",
                 "Leave --params out; it is for a lone mesh.",
             )
-        return capture_source(given, config, body_model, format)
+        return capture_source(given, config, body_model, format, fit_body_model)
     if given.is_file():
         return mesh_source(given, config, body_of(body_model, None), body_model, params)
     raise MissingInput(

@@ -60,7 +60,8 @@ def make_surface(
         return mesh, {"made": "scan", "up": up, **cleaned.told}
     else:
         report.step("carving the hull of the masks")
-        carved = carve(take, frame, posed, config.hull_pitch_m, config.hull_reach_m, report)
+        faces = body.faces if config.hull_rounded else None
+        carved = carve(take, frame, posed, config.hull_pitch_m, config.hull_reach_m, report, faces)
         even, way = remesh(smooth(carved, config.smoothing_steps), config.edge_m)
         mesh = largest_part(even)
         how = {"made": "hull", "carved_vertices": len(carved.vertices), "remeshed": way}

@@ -13,7 +13,7 @@ import numpy as np
 
 from stages.register_template.fitting.bones import State, SurfacePoints, bones_of, vertices_of
 from stages.register_template.fitting.contours import View
-from stages.register_template.fitting.fit_scan import ALL_BETAS, BODY_JOINTS, LEVELS, fit_scan
+from stages.register_template.fitting.fit_scan import ALL_BETAS, BODY_JOINTS, LEVELS, Level, fit_scan
 from stages.register_template.fitting.prior import Prior
 from stages.register_template.fitting.scan_terms import (
     ScanPoints,
@@ -47,9 +47,16 @@ class Seen:
     scan: ScanPoints | None = None
 
 
-def first_pose(body: BodyModel, hull: Mesh, seen: Seen, report: Report, effort: float = 1.0) -> State:
+def first_pose(
+    body: BodyModel,
+    hull: Mesh,
+    seen: Seen,
+    report: Report,
+    effort: float = 1.0,
+    levels: tuple[Level, ...] = LEVELS[:3],
+) -> State:
     """One frame from nothing: the hull of its masks as a rough scan, then contours (and the scan)."""
-    rough = fit_scan(body, hull, report, effort, levels=LEVELS[:3])
+    rough = fit_scan(body, hull, report, effort, levels=levels)
     return refine(body, rough.state, [seen], _ROUNDS, effort, shape=True)
 
 

@@ -155,6 +155,7 @@ def _read_take(folder: Path, split: Split, pickles: PickleReader, body: BodyMode
         pose_files=list(fits.values()),
         scan=meshes[scanned[0]] if scanned else None,
         scan_frame=row[scanned[0]] if scanned else None,
+        scans={row[number]: meshes[number] for number in scanned},
         frame_names={place: f"{number:05d}" for number, place in row.items()},
         notes=notes,
     )

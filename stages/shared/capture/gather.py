@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from stages.shared.body.easymocap import is_easymocap, read_easymocap
 from stages.shared.body.model import BodyModel
 from stages.shared.body.npz import NumericNpz
 from stages.shared.body.poses import MAX_FRAMES, Poses, read_smpl_params
@@ -78,7 +79,7 @@ def read_poses(path: Path, body: BodyModel | None, fps: float | None, usual_fps:
     if not path.is_file():
         return float(usual_fps if fps is None else fps)
     with NumericNpz(path, "a pose file") as file:
-        poses = read_smpl_params(file, body)
+        poses = read_easymocap(file, body) if is_easymocap(file.names) else read_smpl_params(file, body)
         stated = "fps" in file
     if fps is None and stated:
         return poses
@@ -100,6 +101,7 @@ def make_take(
     scan_frame: int | None = None,
     frame_names: Mapping[int, str] | None = None,
     notes: Iterable[str] = (),
+    scans: Mapping[int, Path] | None = None,
 ) -> Take:
     """A take whose frames are those that every training camera saw, with mask, and that have a pose.
 
@@ -161,6 +163,7 @@ def make_take(
         frame_names=dict(frame_names or {}),
         notes=tuple(remarks),
         posed=posed,
+        scans={frame: path for frame, path in (scans or {}).items() if frame in frames},
     )
 
 

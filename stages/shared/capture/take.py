@@ -49,6 +49,7 @@ class Take:
         scan, scan_frame: a mesh of the dressed person and the frame it shows.
         frame_names: what the capture calls the frames, where that is not the frame number.
         notes: what was left out or assumed, in sentences for people.
+        scans: frame to scan, for captures that have one of every frame.
         posed: whether the capture brings poses; without them `poses` are rest poses that mean nothing.
     """
 
@@ -67,6 +68,7 @@ class Take:
     frame_names: Mapping[int, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     posed: bool = True
+    scans: Mapping[int, Path] = field(default_factory=dict)
 
     @property
     def fps(self) -> float:

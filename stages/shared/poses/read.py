@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from stages.shared.body.easymocap import is_easymocap, read_easymocap
 from stages.shared.body.model import BodyModel
 from stages.shared.body.npz import NumericNpz
 from stages.shared.body.poses import Poses, is_smpl_params, read_smpl_params
@@ -19,7 +20,7 @@ MAX_FILE_BYTES = 1 << 30
 def load_poses(
     path: Path, body: BodyModel | None = None, fps: float | None = None, up: str = "auto"
 ) -> Poses:
-    """Read a pose file: `smpl_params.npz`, AMASS SMPL-H (156 values) or SMPL-X (165 values), or BVH.
+    """Read a pose file: `smpl_params.npz`, EasyMocap's, AMASS SMPL-H (156 values) or SMPL-X (165), BVH.
 
     `smpl_params.npz` is also what Animatable Gaussians, ActorsHQ and THuman4 fits are distributed as.
 
@@ -57,7 +58,10 @@ def load_poses(
         poses = read_bvh(path, body)
     else:
         with NumericNpz(path, "a pose file", limit=MAX_FILE_BYTES) as file:
-            if is_smpl_params(file.names):
+            if is_easymocap(file.names):
+                poses = read_easymocap(file, body)
+                poses = y_up_from_z_up(poses, body) if up == "z" else poses
+            elif is_smpl_params(file.names):
                 poses = read_smpl_params(file, body)
                 poses = y_up_from_z_up(poses, body) if up == "z" else poses
             else:

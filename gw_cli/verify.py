@@ -20,12 +20,16 @@ def register(app: typer.Typer) -> None:
         path: Annotated[
             Path,
             typer.Argument(
-                help="Workspace folder of a subject, or a bundle (.gwg).", autocompletion=artifacts
+                help="Workspace folder of a subject, a bundle (.gwg), or a splat file (.ply, .spz, .glb).",
+                autocompletion=artifacts,
             ),
         ],
         as_json: Json = False,
     ) -> None:
         """Read everything and compare it with the digests it was written with: a subject, or a .gwg bundle.
+
+        A splat file, of any program, is looked at instead: is it whole, is every number possible, what can
+        be seen in it.
 
         Ends with exit code 65 if anything is damaged. Nothing is changed.
         """
@@ -38,6 +42,11 @@ def register(app: typer.Typer) -> None:
             from stages.shared.artifacts.bundle import verify_bundle
 
             console.result({"bundle": str(path), "digest": verify_bundle(path), "damaged": []})
+            return
+        if path.suffix in (".ply", ".spz", ".glb"):
+            from stages.shared.export.splats import splat_facts
+
+            console.result({"splats": str(path), **splat_facts(path), "damaged": []})
             return
         found = verify_workspace(Workspace(path))
         for damage in found.damaged:

@@ -59,7 +59,7 @@ class Page:
             mobile=False,
         )
 
-    def open(self, address: str, seconds: float = 60) -> None:
+    def open(self, address: str, seconds: float = 120) -> None:
         """Go there and wait until it is loaded."""
         self._loaded = False
         self._call("Page.navigate", url=address)
@@ -67,7 +67,7 @@ class Page:
         while not self._loaded:
             self._receive(deadline)
 
-    def run(self, code: str, seconds: float = 60) -> Any:
+    def run(self, code: str, seconds: float = 120) -> Any:
         """The value of a JavaScript expression; promises are waited for."""
         answer = self._call(
             "Runtime.evaluate", seconds, expression=code, awaitPromise=True, returnByValue=True
@@ -76,7 +76,7 @@ class Page:
             raise RuntimeError(json.dumps(answer["exceptionDetails"])[:2000])
         return answer["result"].get("value")
 
-    def wait_for(self, code: str, seconds: float = 60) -> None:
+    def wait_for(self, code: str, seconds: float = 120) -> None:
         """Until an expression is true."""
         deadline = time.monotonic() + seconds
         while not self.run(code):
@@ -88,7 +88,7 @@ class Page:
         data = base64.b64decode(self._call("Page.captureScreenshot", format="png")["data"])
         return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
 
-    def _call(self, method: str, seconds: float = 60, **parameters: Any) -> dict[str, Any]:
+    def _call(self, method: str, seconds: float = 120, **parameters: Any) -> dict[str, Any]:
         self._count += 1
         number = self._count
         message: dict[str, Any] = {"id": number, "method": method, "params": parameters}

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
-from stages.shared.errors import UsageProblem
+import numpy as np
+
+from stages.shared.errors import BadData, UsageProblem
 from stages.shared.export.splat_glb import read_splat_glb, write_splat_glb
 from stages.shared.export.spz import read_spz, write_spz
 from stages.shared.splat.ply import SplatCloud, read_splat_ply, write_splat_ply
@@ -46,3 +49,27 @@ def read_splats(path: Path) -> SplatCloud:
     kind = path.suffix.removeprefix(".")
     check_formats((kind,), str(path))
     return _READERS[kind](path)
+
+
+def splat_facts(path: Path) -> dict[str, Any]:
+    """What a splat file holds, for people: count, extent (m), opacity, scale, and how many cannot be seen.
+
+    Raises MissingInput, BadData (also for numbers that are not finite).
+    """
+    cloud = read_splats(path)
+    for name in ("means", "quats", "scales", "opacities", "colors"):
+        finite = np.isfinite(getattr(cloud, name)).reshape(len(cloud), -1).all(axis=1)
+        if not finite.all():
+            row = int(np.flatnonzero(~finite)[0])
+            raise BadData(f"{name} of Gaussian {row} is not a finite number.", str(path), "Export it again.")
+    if not len(cloud):
+        return {"gaussians": 0}
+    return {
+        "gaussians": len(cloud),
+        "low": cloud.means.min(axis=0).round(4).tolist(),
+        "high": cloud.means.max(axis=0).round(4).tolist(),
+        "median_scale": float(np.median(cloud.scales)),
+        "largest_scale": float(cloud.scales.max()),
+        "invisible": int((cloud.opacities < 1 / 255).sum()),
+        "harmonics": 0 if cloud.harmonics is None else cloud.harmonics.shape[1],
+    }

@@ -13,12 +13,14 @@ import pytest
 import torch
 import trimesh
 from scipy.spatial.transform import Rotation
+from typer.testing import CliRunner
 
+from gw_cli.app import app
 from stages.shared.errors import BadData, MissingInput, UsageProblem
 from stages.shared.export.cloud import cloud_of, principal_axes
 from stages.shared.export.glb import GlbReader
 from stages.shared.export.splat_glb import read_splat_glb
-from stages.shared.export.splats import read_splats, write_splats
+from stages.shared.export.splats import read_splats, splat_facts, write_splats
 from stages.shared.export.spz import pack_smallest_three, unpack_smallest_three
 from stages.shared.outfit.picture import take_picture
 from stages.shared.splat.api import rasterize
@@ -201,3 +203,25 @@ def test_strange_glb_is_refused(posed, tmp_path: Path) -> None:
         path.write_bytes(data)
         with pytest.raises(BadData, match=r"a\.glb"):
             read_splats(path)
+
+
+def test_verify_looks_at_splat_files(posed, tmp_path: Path) -> None:
+    cloud = cloud_of(posed)
+    cloud = replace(cloud, opacities=cloud.opacities.copy())
+    cloud.opacities[:3] = 0
+    for kind in ("ply", "spz", "glb"):
+        path = tmp_path / f"a.{kind}"
+        write_splats(path, cloud, posed.layers)
+        done = CliRunner().invoke(app, ["verify", str(path), "--json"])
+        facts = json.loads(done.stdout.splitlines()[-1])["result"]
+        assert done.exit_code == 0 and facts["gaussians"] == len(cloud) and facts["invisible"] == 3
+        np.testing.assert_allclose(facts["high"], cloud.means.max(axis=0), atol=1e-4)
+        path.write_bytes(path.read_bytes()[:-40])
+        assert CliRunner().invoke(app, ["verify", str(path)]).exit_code == 65
+    write_splats(tmp_path / "a.glb", cloud)
+    glb = bytearray((tmp_path / "a.glb").read_bytes())
+    start = 28 + struct.unpack_from("<I", glb, 12)[0]
+    glb[start : start + 4] = struct.pack("<f", float("nan"))
+    (tmp_path / "a.glb").write_bytes(glb)
+    with pytest.raises(BadData, match="means of Gaussian 0"):
+        splat_facts(tmp_path / "a.glb")

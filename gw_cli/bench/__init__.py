@@ -11,6 +11,7 @@ SUBCOMMANDS: tuple[str, ...] = (
     "splat",
     "step",
     "tryon",
+    "precision",
     "stability",
     "playback",
     "tradeoff",

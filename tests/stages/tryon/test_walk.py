@@ -37,7 +37,7 @@ def lowest(poses: Poses) -> np.ndarray:
                     torch.from_numpy(poses.betas),
                 )[:, 1].min()
             )
-            for frame in range(0, len(poses), max(1, len(poses) // 8))
+            for frame in range(0, len(poses), max(1, len(poses) // 6))
         ]
     )
 
@@ -60,7 +60,7 @@ def clip(shared_folder: Path, name: str) -> Path:
     return path
 
 
-@pytest.mark.parametrize(("name", "betas"), zip(CLIPS, (TALL, SHORT, TALL, SHORT), strict=True))
+@pytest.mark.parametrize(("name", "betas"), [(CLIPS[0], TALL), (CLIPS[3], SHORT)])
 def test_feet_stay_on_the_floor(shared_folder: Path, name: str, betas: np.ndarray) -> None:
     made_for = load_poses(clip(shared_folder, name), BODY, 15)
     wearer = grounded(made_for, BODY, betas)

@@ -40,6 +40,7 @@ from stages.train.checkpoint import METRICS_NAME, RunState
 from stages.train.config import METHODS, TrainConfig
 from stages.train.data import TrainingViews
 from stages.train.loop import learn
+from stages.train.memory import available_bytes, memory_named, say_if_scarce
 from stages.train.method import MethodLayers, method_layers, settled
 from stages.train.trainer import Trainer
 from stages.train.watch import Watch
@@ -74,11 +75,16 @@ def run(
     perceptual = Perceptual.load(perceptual_weights) if perceptual_weights else None
     if perceptual is None and max(weights.lpips, weights.face) > 0:
         report.say("no perceptual weights given: the LPIPS terms are off")
-    trainer = _trainer(source, config, _device(config.device), perceptual)
-    with workspace.progress(TRAIN, config, inputs, force=force) as progress:
+    needed = cost.memory_bytes(source.layers(config.method).maps, settled(config))
+    say_if_scarce(needed, available_bytes(), report)
+    with memory_named(needed):
+        trainer = _trainer(source, config, _device(config.device), perceptual)
+    with memory_named(needed), workspace.progress(TRAIN, config, inputs, force=force) as progress:
         state = checkpoint.restore(progress, trainer)
         if state.step:
             report.say(f"going on from step {state.step}")
+        elif state.tracked > 0:
+            report.say(f"going on from frame {state.tracked} of tracking")
         if watch is not None:
             watch.layer_ids = source.layers(config.method).layer_ids
         learn(trainer, progress, state, report, watch)

@@ -73,9 +73,9 @@ def measure(case: Case, rounds: int, limit: Limit, backend: str = "cpu") -> dict
 
     found: dict[str, Any] = {"backend": backend, "gaussians": case.gaussians, "size": case.size}
     found |= {"channels": case.channels, "threads": torch.get_num_threads(), "rounds": rounds}
+    found |= peak_bytes(both)  # first: later calls find memory that this one has left
     seconds, _ = _repeat(forward, rounds)
     both_seconds, phases = _repeat(both, rounds)
-    found |= peak_bytes(both)
     found |= _milliseconds("forward", seconds) | _milliseconds("forward_backward", both_seconds)
     found["frames_per_second"] = 1 / statistics.median(seconds)
     found["steps_per_second"] = 1 / statistics.median(both_seconds)

@@ -7,7 +7,7 @@ import pytest
 import torch
 from scipy import ndimage
 
-from stages.shared.outfit.penetration import PenetrationConfig, enclosed, repair
+from stages.shared.outfit.penetration import TRYON_MARGINS, PenetrationConfig, enclosed, repair
 from stages.shared.splat.rendering import LayeredRendering, Rendering
 
 SIZE = 40
@@ -126,3 +126,34 @@ def test_enclosed_is_filling_holes_and_eroding(seed: int) -> None:
     assert np.array_equal(enclosed(shown, 2), expected)
     assert np.array_equal(enclosed(shown, 0), filled)
     assert not enclosed(np.zeros((5, 5), bool), 2).any()
+
+
+def test_four_layers_in_order_each_repaired_by_its_own_outer() -> None:
+    """Body through trousers, shirt through coat: each pixel takes the layer that should hide it."""
+    names = ("body", "lower", "upper", "outer")
+    body = _plane(2.0, slice(2, 38), slice(2, 38))
+    lower, upper = _plane(1.98, slice(20, 38), slice(2, 38)), _plane(1.97, slice(2, 20), slice(2, 38))
+    outer = _plane(1.95, slice(4, 18), slice(4, 36))
+    body[26:30, 10:14] = 1.96
+    upper[8:12, 10:14] = 1.93
+    green, white = torch.tensor([0.1, 0.9, 0.1]), torch.tensor([0.9, 0.9, 0.9])
+    scene = _layered([body, lower, upper, outer], [RED, BLUE, green, white])
+    result = repair(scene, names)
+    assert {pair: count for pair, count in result.counts.items() if count} == {
+        "body/lower": 16,
+        "upper/outer": 16,
+    }
+    assert torch.allclose(result.rendering.features[28, 12, :3], BLUE)
+    assert torch.allclose(result.rendering.features[10, 12, :3], white)
+    assert result.mask.sum() == 32
+
+
+def test_try_on_margins_fix_more_and_still_keep_an_arm() -> None:
+    body, shirt = _plane(2.0), _plane(1.98, slice(5, 35), slice(5, 35))
+    body[12:14, 12:14] = 1.94  # four centimetres out: a thigh through a foreign skirt
+    body[22:26, 10:30] = 1.86  # twelve: an arm
+    scene = _layered([body, shirt], [RED, BLUE])
+    assert repair(scene, LAYERS).counts["body/upper"] == 0
+    repaired = repair(scene, LAYERS, TRYON_MARGINS)
+    assert repaired.counts["body/upper"] == 4
+    assert torch.equal(repaired.rendering.features[22:26, 10:30], scene.composite.features[22:26, 10:30])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+import zlib
 from pathlib import Path
 from types import TracebackType
 
@@ -13,6 +14,10 @@ from stages.shared.errors import BadData, MissingInput
 
 _PICKLE_MAGIC = b"\x80"
 _ZIP_MAGIC = b"PK\x03\x04"
+
+# What a spoiled archive can raise; RuntimeError and NotImplementedError (a kind of it) where it claims to be
+# encrypted, or packed in a way that this Python does not know.
+_UNREADABLE = (ValueError, EOFError, OSError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error)
 
 
 class NumericNpz:
@@ -45,7 +50,7 @@ class NumericNpz:
             raise self._broken("it does not begin like a zip archive")
         try:
             self._archive = zipfile.ZipFile(self.path)
-        except (zipfile.BadZipFile, OSError) as error:
+        except _UNREADABLE as error:
             raise self._broken(str(error)) from error
         self.names = frozenset(
             name.removesuffix(".npy") for name in self._archive.namelist() if name.endswith(".npy")
@@ -87,7 +92,7 @@ class NumericNpz:
                     )
             with self._archive.open(name + ".npy") as stream:
                 values = np.lib.format.read_array(stream, allow_pickle=False)
-        except (ValueError, EOFError, OSError, zipfile.BadZipFile, zipfile.zlib.error) as error:  # type: ignore[attr-defined]
+        except _UNREADABLE as error:
             raise self._broken(f"{name}: {error}") from error
         if finite and values.dtype.kind == "f" and not np.isfinite(values).all():
             where = tuple(int(i) for i in np.argwhere(~np.isfinite(values))[0])
@@ -103,7 +108,7 @@ class NumericNpz:
         try:
             with self._archive.open(name + ".npy") as stream:
                 return _header(stream)[0]
-        except (KeyError, ValueError, EOFError, OSError, zipfile.BadZipFile) as error:
+        except (KeyError, *_UNREADABLE) as error:
             raise self._broken(f"{name}: {error}") from error
 
     def _sentence(self) -> str:

@@ -72,6 +72,8 @@ def _decode_with_trimesh(data: bytes, kind: str, path: Path) -> Mesh:
         raise BadData(f"The mesh cannot be read: {reason}.", str(path), "Export the mesh again.") from error
     if len(faces) and (faces.ndim != 2 or faces.shape[1] != 3):
         raise BadData("The mesh is not made of triangles.", str(path), "Export it with triangles.")
+    if len(vertices) and (vertices.ndim != 2 or vertices.shape[1] != 3):
+        raise BadData("The mesh's vertices are not points in space.", str(path), "Export the mesh again.")
     if kind == "stl" and len(vertices):
         vertices, faces = _weld(vertices, faces)  # STL repeats every corner
     return Mesh(vertices.reshape(-1, 3), faces.reshape(-1, 3), colors)

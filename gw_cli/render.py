@@ -80,6 +80,9 @@ def register(app: typer.Typer) -> None:
             bool, typer.Option(help="Bare skin that was covered when it was learned looks like the rest.")
         ] = True,
         penetration: Penetration = True,
+        ground: Annotated[
+            bool, typer.Option(help="Keep the feet on the floor when legs are longer or shorter.")
+        ] = True,
         preset: Preset = "draft",
         dry_run: DryRun = False,
         as_json: Json = False,
@@ -137,6 +140,7 @@ def register(app: typer.Typer) -> None:
             push=push,
             restore=restore,
             penetration=penetration,
+            ground=ground,
         )
         if html is not None and output is None:
             if dry_run:

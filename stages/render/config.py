@@ -24,6 +24,8 @@ class RenderConfig:
         push: let garments of other people give way to the body.
         restore: skin that is bare now, and was covered when it was learned, looks like the skin around.
         penetration: repair pixels where an inner layer pokes through a garment.
+        ground: fit the way of the hips of a motion from a file to the length of the wearer's legs, so that
+            the feet are on the floor; not before the cameras of a capture.
         passes: of "labels", "depth", "layers".
         video: "auto" (H.264, or VP9 where there is no encoder or the background is transparent), "h264",
             "vp9" or "none".
@@ -47,6 +49,7 @@ class RenderConfig:
     push: bool = False
     restore: bool = True
     penetration: bool = True
+    ground: bool = True
     passes: tuple[str, ...] = ()
     video: str = "auto"
     exports: tuple[str, ...] = ()

@@ -15,6 +15,7 @@ from stages.shared.artifacts import Workspace
 from stages.shared.body import Poses, canonical_rotations
 from stages.shared.capture import Take, open_capture
 from stages.shared.errors import MissingInput, UsageProblem
+from stages.shared.outfit.grounding import grounded
 from stages.shared.outfit.outfit import Outfit, outfit_of_bundles, outfit_of_training
 from stages.shared.outfit.reel import ReelFrame, reel_key
 from stages.shared.outfit.sources import (
@@ -65,6 +66,8 @@ def open_scene(
         poses = _still(1 if config.camera in ("", "static") else _STILL_FRAMES)
     elif poses_path is not None:
         poses = load_poses(poses_path, outfit.body_model, config.fps or None)
+        if config.ground and take is None:
+            poses = grounded(poses, outfit.body_model, outfit.betas)
     elif take is not None:
         poses = take.poses
     elif own_poses is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import threading
+from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -14,6 +15,7 @@ from stages.shared.artifacts.pictures import encode_png
 from stages.shared.body import Poses, canonical_rotations
 from stages.shared.capture.camera import Camera, checked_camera
 from stages.shared.errors import UsageProblem
+from stages.shared.outfit.grounding import grounded
 from stages.shared.outfit.outfit import Outfit
 from stages.shared.outfit.picture import take_picture
 from stages.shared.outfit.sources import parse_betas
@@ -23,6 +25,8 @@ from stages.shared.web.pack import pack_gaussians
 from stages.shared.web.start import orbit_start
 from stages.view.shelf import Shelf
 
+AS_THEY_ARE = ("canonical pose", "own motion")  # names of motions that no file brought
+_KEPT_MOTIONS = 8
 LARGEST_SIDE = 4096  # px of a picture
 _PLAIN = re.compile("#[0-9a-fA-F]{6}|transparent")
 
@@ -53,11 +57,12 @@ class Show:
     def __init__(self, shelf: Shelf, motions: Sequence[tuple[str, Poses]], size: tuple[int, int]) -> None:
         self.shelf, self.motions, self._size = shelf, list(motions), size
         self._one = threading.Lock()
+        self._walked: OrderedDict[tuple[int, bytes], Poses] = OrderedDict()
 
     def described(self, betas: str) -> dict[str, Any]:
         """All that the page needs to begin. betas: of the first view."""
         outfit = self.shelf.outfit(self.shelf.worn, parse_betas(betas))
-        poses = self.motions[0][1][0]
+        poses = self._on_the_floor(0, outfit)[0]
         size = self._size
         (camera,) = viewpoint_cameras("static", outfit.body_model, poses, outfit.betas, size)
         return {
@@ -106,14 +111,28 @@ class Show:
         poses = self.motions[wish.motion][1]
         if not 0 <= wish.row < len(poses):
             raise UsageProblem(f"There is no frame {wish.row}.", "row", f"Choose 0 to {len(poses) - 1}.")
-        return self.shelf.outfit(wish.wear, parse_betas(wish.betas)), poses
+        outfit = self.shelf.outfit(wish.wear, parse_betas(wish.betas))
+        return outfit, self._on_the_floor(wish.motion, outfit)
+
+    def _on_the_floor(self, motion: int, outfit: Outfit) -> Poses:
+        """A motion from a file on the wearer's legs, as `gw render` has it; other motions as they are."""
+        name, poses = self.motions[motion]
+        if name in AS_THEY_ARE:
+            return poses
+        key = (motion, outfit.betas.tobytes())
+        if key not in self._walked:
+            self._walked[key] = grounded(poses, outfit.body_model, outfit.betas)
+        self._walked.move_to_end(key)
+        while len(self._walked) > _KEPT_MOTIONS:
+            self._walked.popitem(last=False)
+        return self._walked[key]
 
 
 def canonical_motion() -> tuple[str, Poses]:
     """One frame in the pose of the maps."""
     rotations = canonical_rotations().numpy()[None]
     zeros = np.zeros((1, 10), np.float32)
-    return "canonical pose", Poses(rotations, zeros[:, :3], zeros[0], zeros)
+    return AS_THEY_ARE[0], Poses(rotations, zeros[:, :3], zeros[0], zeros)
 
 
 def camera_of(content: Any) -> Camera:

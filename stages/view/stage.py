@@ -19,7 +19,7 @@ from stages.shared.report import SILENT, Report
 from stages.view.config import ViewConfig
 from stages.view.server import Viewer
 from stages.view.shelf import open_shelf
-from stages.view.show import Show, canonical_motion
+from stages.view.show import AS_THEY_ARE, Show, canonical_motion
 
 
 def open_viewer(
@@ -46,7 +46,7 @@ def open_viewer(
     body = shelf.outfit(shelf.worn, None).body_model
     motions = [(path.name, load_poses(path, body, config.fps or None)) for path in poses]
     if shelf.own_poses is not None:
-        motions.append(("own motion", shelf.own_poses))
+        motions.append((AS_THEY_ARE[1], shelf.own_poses))
     motions.append(canonical_motion())
     show = Show(shelf, motions, (config.width, config.height))
     return Viewer(config.host, config.port, show, config.betas)

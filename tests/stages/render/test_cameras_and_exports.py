@@ -15,8 +15,10 @@ from gw_cli.app import app
 from stages.render import stage
 from stages.render.camera_path import path_cameras
 from stages.render.config import RenderConfig
+from stages.shared.body import embedded_body
 from stages.shared.errors import BadData, MissingInput, UsageProblem
 from stages.shared.export.splats import read_splats
+from stages.shared.outfit.grounding import grounded
 from tests.shared.outfit.wardrobe import cameras, motion, outfit
 
 SMALL = RenderConfig(width=48, height=64)
@@ -185,3 +187,18 @@ def test_the_command_tells_how_to_merge(wardrobe: Path, tmp_path: Path) -> None:
     assert "when all parts are done" in done.stderr and not (tmp_path / "out").exists()
     text = CliRunner().invoke(app, ["render", "--help"]).stdout
     assert "gw-camera-path" in text and "--shard" in text and "canonical" in text
+
+
+def test_a_taller_wearer_keeps_the_floor(wardrobe: Path, tmp_path: Path) -> None:
+    """Shape 0 of the body model lengthens legs: the hips rise with it, and with --no-ground they do not."""
+    heights = {}
+    for ground in (True, False):
+        config = RenderConfig(exports=("ply",), pictures=False, betas="4", ground=ground, frames="2:3")
+        out = tmp_path / str(ground)
+        stage.run([wardrobe / "body.gwg"], wardrobe / "motion.npz", None, out, config)
+        heights[ground] = read_splats(out / "ply/frame000002.ply").means[:, 1].mean()
+    from_embedded = embedded_body()
+    wearer = np.array([4, *[0] * 9], np.float32)
+    moved = grounded(motion(), from_embedded, wearer).translation[2, 1] - motion().translation[2, 1]
+    assert abs(moved) > 0.01
+    assert heights[True] - heights[False] == pytest.approx(moved, abs=1e-4)

@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 
 from gw_cli.app import app
 from stages.shared.errors import MissingInput, StorageFailure, UsageProblem
+from stages.shared.outfit.grounding import grounded
 from stages.shared.outfit.outfit import outfit_of_bundles
 from stages.shared.outfit.picture import take_picture
 from stages.shared.outfit.sources import parse_betas, read_bundles
@@ -61,7 +62,8 @@ def test_the_browser_shows_what_we_render(viewer: Viewer, wardrobe: Path) -> Non
 
     def truth(tab: Any, names: tuple[str, ...], row: int, betas: str = "") -> np.ndarray:
         named = read_bundles([wardrobe / f"{name}.gwg" for name in names])
-        composite = outfit_of_bundles(named, parse_betas(betas)).composite(motion(), row)
+        worn = outfit_of_bundles(named, parse_betas(betas))
+        composite = worn.composite(grounded(motion(), worn.body_model, worn.betas), row)
         return take_picture(composite, camera_of(tab.run("camera()"))).on((1.0, 1.0, 1.0))
 
     with browser_page(720, 480) as tab:

@@ -12,6 +12,7 @@ import cv2
 import igl
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from stages.shared.capture.camera import Camera
@@ -34,6 +35,7 @@ _ALWAYS_M, _SPREAD_M, _SLACK_M = 0.04, 0.15, 0.02
 # Rounding: how near to a mask's edge a node touches it (grid steps), how many seen thicknesses make one, how
 # far they reach over the body, and what a turn of its normal by one radian counts (metres).
 _TOUCHING_STEPS, _CURVES, _CURVE_SPREAD_M, _NORMAL_M = 1.5, 16, 0.05, 0.08
+_CLOSED_M = 0.12
 _BETWEEN_M = 0.4  # what has the body before and behind it nearer than this lies between two parts of it
 _BIN_STEPS = 1.5  # side of the bins in which pixels are compared, in projected grid steps
 
@@ -54,6 +56,7 @@ def carve(
     reach: float,
     report: Report,
     body_faces: NDArray[np.integer] | None = None,
+    leg_vertices: NDArray[np.bool_] | None = None,
 ) -> Mesh:
     """The hull of the masks of one frame as a closed mesh; its largest part only.
 
@@ -64,6 +67,7 @@ def carve(
         reach: metres; nothing farther from the body belongs to the person.
         body_faces: (F, 3); with them the hull is rounded between the views (`_rounded`), without it is left
             as the masks alone give it.
+        leg_vertices: (V,) which vertices are of hips and legs: between them skirts are closed.
 
     Raises:
         BadData: fewer than three cameras, an empty mask, masks that have no volume in common.
@@ -98,7 +102,9 @@ def carve(
     grid = _grid(low, high, pitch)
     values = _without_ghosts(_field(grid, silhouettes), grid, silhouettes, body_vertices, reach)
     if body_faces is not None:
-        values = _rounded(values, grid, silhouettes, body_vertices, body_faces)
+        if leg_vertices is None:
+            leg_vertices = np.zeros(len(body_vertices), bool)
+        values = _rounded(values, grid, silhouettes, body_vertices, body_faces, leg_vertices)
     vertices, faces, _ = igl.marching_cubes(values, grid.nodes(), *grid.shape[::-1], 0.0)
     if not len(faces):
         raise BadData(
@@ -227,6 +233,7 @@ def _rounded(
     silhouettes: list[Silhouette],
     body: Doubles,
     faces: NDArray[np.integer],
+    leg_vertices: NDArray[np.bool_],
 ) -> Doubles:
     """The field cut down to the distance from the body that was seen, interpolated between the views.
 
@@ -253,7 +260,19 @@ def _rounded(
     room = np.where((beyond < _BETWEEN_M) | (distance < 0), np.inf, allowed - distance)
     result = values.copy()
     result[inside] = np.minimum(values[inside], np.maximum(room, -grid.pitch))
+    # Two legs make one skirt: what is cut between them comes back, as far as the masks allow.
+    legs = np.isin(nearest, np.flatnonzero(leg_vertices))
+    closed = _closed(result, grid)[inside[legs]]
+    result[inside[legs]] = np.maximum(result[inside[legs]], np.minimum(values[inside[legs]], closed))
     return result
+
+
+def _closed(values: Doubles, grid: _Grid) -> Doubles:
+    """The field after closing gaps of up to twice `_CLOSED_M`: the shape grown and shrunk by as much."""
+    inside = (values > 0).reshape(grid.shape)
+    steps = _CLOSED_M / grid.pitch
+    grown = ndimage.distance_transform_edt(~inside) < steps
+    return np.asarray((ndimage.distance_transform_edt(grown) - steps) * grid.pitch, np.float64).reshape(-1)
 
 
 def _touched(

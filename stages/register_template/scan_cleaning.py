@@ -19,12 +19,12 @@ from stages.shared.report import Report
 # Metres per unit: metre, centimetre, millimetre, inch, foot.
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 _SHORTEST, _LONGEST = 1.2, 2.4  # largest side of a person's box, metres
-_WELD_M = 1e-6
+_WELD = 1e-6  # of the mesh's size
 _CLUSTERED_FROM = 3  # times the most faces: edge collapse takes minutes beyond
 _RAYS = 6  # to either side of a face
 _FACES_ASKED = 20_000
 _LIFT_M = 5e-4
-_PERSON_TALL, _PERSON_AREA, _APART_M = 0.6, 0.2, 0.35  # shares of the mesh; between middles of two people
+_PERSON_TALL, _PERSON_AREA, _APART = 0.5, 0.2, 0.15  # of the mesh; the last between two middles
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,14 +45,14 @@ def clean_scan(mesh: Mesh, most_faces: int, where: str, report: Report) -> Clean
     Raises:
         BadData: nobody's size in any unit; two people.
     """
-    unit, metres = unit_of(mesh, where)
-    if unit != "m":
-        report.warn(f"the scan is in {unit}; it is taken times {metres:g}")
-        mesh = replace(mesh, vertices=(metres * mesh.vertices.astype(np.float64)).astype(np.float32))
     mesh, welded, dropped = weld(mesh)
     if not len(mesh.faces):
         raise BadData("No face of the mesh has an area.", where, "Export the mesh again.")
     refuse_two_people(mesh, where)
+    unit, metres = unit_of(mesh, where)
+    if unit != "m":
+        report.warn(f"the scan is in {unit}; it is taken times {metres:g}")
+        mesh = replace(mesh, vertices=(metres * mesh.vertices.astype(np.float64)).astype(np.float32))
     way = "unchanged"
     if len(mesh.faces) > _CLUSTERED_FROM * most_faces:
         mesh, way = cluster(mesh, 2 * most_faces), "clustered"
@@ -88,7 +88,8 @@ def unit_of(mesh: Mesh, where: str) -> tuple[str, float]:
 
 def weld(mesh: Mesh) -> tuple[Mesh, int, int]:
     """Vertices at one place made one, faces without area or stated twice left out; how many of either."""
-    keys = np.rint(mesh.vertices.astype(np.float64) / _WELD_M).astype(np.int64)
+    size = max(float(np.ptp(mesh.vertices, axis=0).max()), 1e-12)
+    keys = np.rint(mesh.vertices.astype(np.float64) / (_WELD * size)).astype(np.int64)
     _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     faces = inverse.reshape(-1)[mesh.faces]
     corners = np.sort(faces, axis=1)
@@ -155,8 +156,8 @@ def refuse_two_people(mesh: Mesh, where: str) -> None:
             people.append(_middle(vertices))
     for place, one in enumerate(people):
         for other in people[place + 1 :]:
-            if np.linalg.norm(one - other) > _APART_M:
-                raise two_people(where, f"two parts stand {np.linalg.norm(one - other):.2f} m apart")
+            if np.linalg.norm(one - other) > _APART * whole:
+                raise two_people(where, f"two parts stand {np.linalg.norm(one - other):.3g} units apart")
 
 
 def two_people(where: str, reason: str) -> BadData:

@@ -14,6 +14,7 @@ from stages.register_template.fitting.starts import UP_AXES
 from stages.register_template.hull import carve, largest_part, smooth
 from stages.register_template.scan_cleaning import clean_scan
 from stages.shared.body import BodyModel
+from stages.shared.body.skeleton import JOINT_INDEX
 from stages.shared.capture import Take
 from stages.shared.capture.projection import project_colors
 from stages.shared.errors import BadData
@@ -25,6 +26,7 @@ from stages.shared.report import Report
 
 # A template farther than this from the body (median of its vertices) is of another frame, place or unit.
 MEDIAN_BAR_M = 0.15
+_LEG_JOINTS = [JOINT_INDEX[name] for name in ("pelvis", "left_hip", "right_hip", "left_knee", "right_knee")]
 _COMPARED = 3000  # vertices that are looked at to find the up axis
 
 
@@ -61,7 +63,8 @@ def make_surface(
     else:
         report.step("carving the hull of the masks")
         faces = body.faces if config.hull_rounded else None
-        carved = carve(take, frame, posed, config.hull_pitch_m, config.hull_reach_m, report, faces)
+        legs = np.isin(body.skin_weights.argmax(axis=1), _LEG_JOINTS)
+        carved = carve(take, frame, posed, config.hull_pitch_m, config.hull_reach_m, report, faces, legs)
         even, way = remesh(smooth(carved, config.smoothing_steps), config.edge_m)
         mesh = largest_part(even)
         how = {"made": "hull", "carved_vertices": len(carved.vertices), "remeshed": way}

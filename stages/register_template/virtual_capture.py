@@ -62,7 +62,7 @@ def virtual_capture(
             for frame, path in sorted(take.scans.items()):
                 scan = read_textured_scan(path)
                 if frame == first:
-                    written.scan(encode_ply(scan.mesh))
+                    written.scan(b"".join(encode_ply(scan.mesh)))
                 for camera in cameras:
                     image, mask, labels = render_scan(scan, camera)
                     written.view(camera.name, frame, image, mask, labels)

@@ -107,7 +107,12 @@ def test_no_point_of_a_fit_lies_in_the_eyes() -> None:
 
 
 @pytest.mark.parametrize(
-    ("seed", "up", "yaw", "down"), [(4, "+y", np.pi, 0.8), (5, "+z", 0.6, 0.2), (6, "-y", -2.0, 1.1)]
+    ("seed", "up", "yaw", "down"),
+    [
+        (5, "+z", 2.6, 0.2),
+        pytest.param(4, "+y", np.pi, 0.8, marks=pytest.mark.long),
+        pytest.param(6, "-y", -2.0, 1.1, marks=pytest.mark.long),
+    ],
 )
 def test_a_scan_in_any_orientation(seed: int, up: str, yaw: float, down: float) -> None:
     body, truth = embedded_body(), a_state(seed, yaw=yaw, down=down, bend=0.08)
@@ -172,7 +177,8 @@ def test_masks_alone_give_the_pose(tmp_path: Path) -> None:
     assert abs(hull_height - np.ptp(vertices_of(body, truth)[:, 1])) < 0.06
     found = first_pose(body, hull, seen, SILENT, effort=0.5, levels=QUICK[:3])
     assert joint_error(found, truth) < 0.025
-    assert misfit_of(body, found, seen) < 0.015
+    # Pixels of 1.4 cm: no fit can be better than the truth is.
+    assert misfit_of(body, found, seen) < 1.1 * misfit_of(body, truth, seen) + 0.002
     elsewhere = found.copy()
     elsewhere.translation[0, 0] += 0.1
-    assert misfit_of(body, elsewhere, seen) > 0.03
+    assert misfit_of(body, elsewhere, seen) > 1.3 * misfit_of(body, found, seen)

@@ -115,7 +115,7 @@ def test_faces_inside_out_are_turned(person: Mesh, share: float) -> None:
 
 def test_two_people_are_refused_and_one_with_a_bag_is_not(person: Mesh) -> None:
     count = len(person.vertices)
-    beside = person.vertices + np.float32([1.0, 0, 0.3])
+    beside = person.vertices + np.float32([1.2, 0, 0.3])
     two = Mesh(
         np.concatenate([person.vertices, beside]), np.concatenate([person.faces, person.faces + count])
     )

@@ -3,44 +3,16 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
-ORDER = ("register-template", "canonicalize", "segment-layers", "bake-maps", "train")
-TINY = ("--preset", "tiny")
+from tests.pipeline.chain import ORDER, TINY, gw
 
-
-def gw(*arguments: str | Path, folder: Path) -> dict[str, Any]:
-    """Run one command as a user would; its result, or a failure that shows what it said."""
-    done = subprocess.run(
-        [sys.executable, "-m", "gw_cli", *map(str, arguments), "--json"],
-        cwd=folder,
-        env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])},
-        capture_output=True,
-        text=True,
-        timeout=280,
-    )
-    assert done.returncode == 0, f"gw {arguments}: {done.stderr}"
-    return json.loads(done.stdout.strip().splitlines()[-1])["result"]
-
-
-@pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with two tiny people as captures, and subject 1 taken through the five stages."""
-    folder = tmp_path_factory.mktemp("chain")
-    gw("synth", "people", *TINY, folder=folder)
-    gw("register-template", "people/subject_1", "-o", "subject", *TINY, folder=folder)
-    for stage in ORDER[1:]:
-        gw(stage, "subject", *TINY, folder=folder)
-    return folder
+pytestmark = pytest.mark.timeout(900)  # the first of these makes the chain
 
 
 def _states(folder: Path, subject: str = "subject") -> dict[str, tuple[str, str]]:

@@ -18,7 +18,7 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())
 
 
-def run(*command: str | Path, folder: Path, seconds: float = 600) -> subprocess.CompletedProcess[str]:
+def run(*command: str | Path, folder: Path, seconds: float = 1200) -> subprocess.CompletedProcess[str]:
     """A command in a folder outside the repository, with nothing of it on its path."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
     done = subprocess.run(

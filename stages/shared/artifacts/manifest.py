@@ -85,9 +85,10 @@ def read_manifest(folder: Path) -> Manifest:
     except OSError as error:
         raise _damaged(path, f"it cannot be read ({error.strerror})") from error
     value = unseal(data, path)
-    if value.pop("store", None) != STORE_MAJOR:
+    store = value.pop("store", None)
+    if store != STORE_MAJOR:
         raise BadData(
-            f"This artifact was written for another version of the store than {STORE_MAJOR}.",
+            f"This artifact was written for version {store} of the store; this gw reads {STORE_MAJOR}.",
             str(path),
             "Use the gw that wrote it, or run the stage again.",
         )

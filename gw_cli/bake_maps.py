@@ -23,6 +23,12 @@ def register(app: typer.Typer) -> None:
         extent: Annotated[
             float | None, typer.Option(help="Side of the square map, metres; everything must fit.")
         ] = None,
+        sheets: Annotated[
+            int | None,
+            typer.Option(
+                min=0, max=15, help="Most sheets a side for hidden surfaces; 0: front and back only."
+            ),
+        ] = None,
         preset: Preset = "draft",
         force: Force = False,
         dry_run: DryRun = False,
@@ -31,6 +37,7 @@ def register(app: typer.Typer) -> None:
         """Turn every layer into front and back maps of texels; each texel will carry one Gaussian.
 
         All layers and subjects share one grid, so the same texel is the same place on everybody.
+        Layers whose two views leave more than 1 % unseen get further sheets for what lies behind.
         """
         from stages.bake_maps import stage
         from stages.bake_maps.config import PRESETS
@@ -41,6 +48,8 @@ def register(app: typer.Typer) -> None:
             config = replace(config, pitch=_within("--pitch", pitch, 0.5, 200.0) / 1000)
         if extent is not None:
             config = replace(config, extent_m=_within("--extent", extent, 0.5, 10.0))
+        if sheets is not None:
+            config = replace(config, most_sheets=sheets)
         if dry_run:
             console.plan(stage.plan(subject, config))
             return

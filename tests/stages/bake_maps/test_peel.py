@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from gw_cli.app import app
 from stages.bake_maps.config import BakeMapsConfig
 from stages.bake_maps.links import neighbour_texels, seam_pairs, texel_numbers
 from stages.bake_maps.stage import sheets_needed
 from stages.bake_maps.texels import cast_texels
 from stages.bake_maps.unseen import unseen_shares
+from stages.shared.plan import Plan
 from tests.stages.bake_maps.test_texels import RADIUS, grid, sphere
 
 PITCH = 0.01
@@ -116,3 +121,16 @@ def test_peeling_is_deterministic_and_leaves_the_first_hits_alone() -> None:
     assert peeled.barycentric.tobytes() == again.barycentric.tobytes()
     keys = (peeled.texels[:, 0].astype(np.int64) * 1000 + peeled.texels[:, 1]) * 1000 + peeled.texels[:, 2]
     assert (np.diff(keys) > 0).all()
+
+
+def test_the_command_limits_the_sheets(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    asked = []
+    monkeypatch.setattr(
+        "stages.bake_maps.stage.plan", lambda subject, config: asked.append(config) or Plan([], [])
+    )
+    runner = CliRunner()
+    for words in ([], ["--sheets", "0"]):
+        done = runner.invoke(app, ["bake-maps", str(tmp_path), "--dry-run", "--json", *words])
+        assert done.exit_code == 0, done.stderr
+    assert [config.most_sheets for config in asked] == [BakeMapsConfig().most_sheets, 0]
+    assert runner.invoke(app, ["bake-maps", str(tmp_path), "--sheets", "99"]).exit_code == 2

@@ -1,7 +1,8 @@
 """Skinning weights and shape directions of a body, as a function of space around it.
 
-Three ways to make them, for comparison and for taste (`FieldConfig.spread`):
+Four ways to make them, for comparison and for taste (`FieldConfig.spread`):
     nearest   the nearest body vertex; tears at armpits.
+    undiffused  K nearest vertices by inverse distance.
     inverse   K nearest vertices by inverse distance, then 6-neighbour averaging (the paper's released code).
     wide      inverse distance near the skin, and further away a diffusion whose reach grows with the
               distance from the skin; keeps skirts whole between the legs.
@@ -32,7 +33,7 @@ class FieldConfig:
         band: nodes further than this from body and template are not computed. Diffusion goes through the
             band, so it must bridge the gap between the legs.
         neighbours: K of the inverse-distance weights.
-        spread: "nearest", "inverse" or "wide".
+        spread: "nearest", "undiffused", "inverse" or "wide".
         iterations: 6-neighbour averaging steps of "inverse".
         reach_at_skin: smoothing length of "wide" on and under the skin.
         reach_per_distance: growth of that length per metre beyond `skin_distance`.

@@ -11,15 +11,19 @@ import pytest
 
 from stages.pipeline import REGISTER_TEMPLATE
 from stages.register_template.config import PRESETS
+from stages.register_template.fitting.bones import State, bones_of, vertices_of
+from stages.register_template.fitting.fit_scan import fit_scan
 from stages.register_template.sources import posed_body
 from stages.register_template.stage import plan, run
 from stages.shared.artifacts import Workspace
-from stages.shared.body import BodyModel, Poses, embedded_body
+from stages.shared.body import BodyModel, Poses, embedded_body, load_body
+from stages.shared.capture.subject import open_subject_capture
 from stages.shared.errors import BadData, MissingInput, UsageProblem
-from stages.shared.meshes.load import write_ply
+from stages.shared.meshes.load import load_mesh, write_ply
 from stages.shared.meshes.mesh import Mesh
 from stages.shared.meshes.raycast import RayScene
 from stages.shared.poses import load_poses
+from stages.shared.report import SILENT
 
 from .scenes import a_pose, write_capture
 
@@ -131,3 +135,35 @@ def test_subject_a_fits_its_masks(subject_a: Path, shared_folder: Path, tmp_path
     assert result.summary["mean_inside"] > 0.99
     assert "labels" in result.artifact.arrays("template")
     assert len(load_poses(tmp_path / "s" / "smpl_params.npz")) == 200
+
+
+@pytest.mark.long
+def test_a_capture_without_poses_is_fitted_and_later_stages_get_the_poses(tmp_path: Path) -> None:
+    capture = write_capture(tmp_path / "person")
+    (capture / "takes" / "walk" / "smpl_params.npz").unlink()
+    with pytest.raises(MissingInput, match="no body poses"):
+        run(capture, tmp_path / "s", TINY)
+    result = run(capture, tmp_path / "s", replace(TINY, poses="fit", template="body"))
+    assert result.summary["fitted_takes"] == ["walk"] and result.summary["frame"] == 1
+    take = open_subject_capture(Workspace(tmp_path / "s")).takes[0]
+    assert take.posed and take.frames == [0, 1, 2]
+    for frame in take.frames:
+        truth, found = (
+            posed_body(embedded_body(), a_pose()[frame]),
+            posed_body(embedded_body(), take.poses[frame]),
+        )
+        assert np.linalg.norm(truth - found, axis=1).mean() < 0.04
+
+
+@pytest.mark.long
+def test_subject_a_is_found_in_its_scan(subject_a: Path, shared_folder: Path, tmp_path: Path) -> None:
+    body = load_body(shared_folder / "body" / "anny_smplx_format.npz")
+    fit = fit_scan(body, load_mesh(subject_a / "Sequence1" / "gt" / "scan-f000000.ply"), SILENT)
+    truth = State.of(load_poses(subject_a / "Sequence1" / "1x" / "smpl_params.npz")[0])
+    joints = bones_of(body, fit.state).joints - bones_of(body, truth).joints
+    assert np.linalg.norm(joints[:22], axis=1).mean() < 0.015
+    for state in (fit.state, truth):
+        state.rotations[:] = 0
+        state.translation[:] = 0
+    shape = vertices_of(body, fit.state) - vertices_of(body, truth)
+    assert np.linalg.norm(shape, axis=1).mean() < 0.005

@@ -62,6 +62,18 @@ def test_hull_of_a_ball_is_the_ball_and_a_little_more() -> None:
     assert ball < volume(hull) < 1.35 * ball  # positive: faces point outward
 
 
+def test_a_hull_is_rounded_between_its_views() -> None:
+    body = sphere(0.8 * scene.RADIUS)
+    points = (body.vertices + scene.CENTRE).astype(np.float64)
+    plain = carve(ball_take(8), 0, points, 0.02, 0.6, SILENT)
+    rounded = carve(ball_take(8), 0, points, 0.02, 0.6, SILENT, body.faces)
+    off = [
+        np.abs(np.linalg.norm(hull.vertices - scene.CENTRE, axis=1) / scene.RADIUS - 1).mean()
+        for hull in (plain, rounded)
+    ]
+    assert off[1] < 0.6 * off[0]
+
+
 def test_hull_needs_three_cameras() -> None:
     with pytest.raises(BadData, match="2 cameras"):
         carve(ball_take(2), 0, scene.CENTRE + np.eye(3) * 0.1, 0.02, 0.6, SILENT)

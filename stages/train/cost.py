@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import torch
 
 from stages.shared.avatar.config import ModelConfig
@@ -21,6 +24,7 @@ _SECONDS_PER_TRACKED_VIEW = 0.15  # a frame in one camera, all rounds
 # Reckoned, not measured: VGG-16 there, back, and once for the truth at 100 GFLOP/s; its activations.
 _SECONDS_PER_PERCEIVED_PIXEL = 1.8e-5
 _BYTES_PER_PERCEIVED_PIXEL = 2200
+_TRACKING_SHARE = 1 / 3
 _FLOAT = 4
 
 
@@ -45,6 +49,24 @@ def seconds(maps: dict[str, LayerMaps], config: TrainConfig, tracked_views: int 
     if config.track.frame_step and config.model.anchors:
         total += tracked_views * _SECONDS_PER_TRACKED_VIEW + config.track.warm_up * pictures
     return min(total, 60.0 * config.minutes) if config.minutes > 0 else total
+
+
+def affordable_tracking(config: TrainConfig, frames: int, cameras: int) -> TrainConfig:
+    """The configuration with every so many-th frame followed that `minutes` leave time for.
+
+    Tracking is expected to take no more than a third of the run; else only frames that are learned from are
+    followed, or every second of them, and so on. Decided from numbers, not from the clock: a run can be
+    repeated.
+    """
+    step = config.track.frame_step
+    if config.minutes <= 0 or not step:
+        return config
+    most = _TRACKING_SHARE * 60.0 * config.minutes / (cameras * _SECONDS_PER_TRACKED_VIEW)
+    wider = [
+        config.frame_step * factor for factor in range(1, frames + 1) if config.frame_step * factor > step
+    ]
+    step = next((s for s in (step, *wider) if math.ceil(frames / s) <= most), 0)
+    return replace(config, track=replace(config.track, frame_step=step))
 
 
 def memory_bytes(maps: dict[str, LayerMaps], config: TrainConfig) -> int:

@@ -205,6 +205,7 @@ def _device(name: str) -> torch.device:
 
 def _tracked_views(take: Take, config: TrainConfig) -> int:
     """Pictures through which garments are followed."""
+    config = cost.affordable_tracking(config, len(take.frames), len(take.training_cameras))
     frames = take.frames[:: config.track.frame_step] if config.track.frame_step else []
     return len(frames) * len(take.training_cameras)
 
@@ -221,6 +222,7 @@ def _trainer(
             str(source.registered.path / "smpl_params.npz"),
             "Register the subject again with `gw register-template`.",
         )
+    config = cost.affordable_tracking(config, len(source.take.frames), len(source.take.training_cameras))
     views = TrainingViews(source.take, poses, body, list(maps))
     frames = len(views.frames(config.track.frame_step or config.frame_step))
     anchors = (

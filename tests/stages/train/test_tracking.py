@@ -20,6 +20,7 @@ from stages.shared.capture import Camera
 from stages.train import schedule, stage
 from stages.train.cells import Cells
 from stages.train.config import TrackConfig
+from stages.train.cost import affordable_tracking
 from stages.train.displacement import Equations, motion
 from stages.train.tracking import Tracker, conjugate_gradients
 from tests.shared.avatar.tubes import CENTRE, GRID, PITCH, tube_arrays
@@ -142,3 +143,13 @@ def test_tracking_replaces_small_pictures_and_flow() -> None:
     assert schedule.is_coarse(config, 0.1) and schedule.stage_weights(config, 0.1).flow == 1
     tracked = replace(config, track=_TRACK)
     assert not schedule.is_coarse(tracked, 0.1) and schedule.stage_weights(tracked, 0.1).flow == 0
+
+
+def test_short_runs_follow_fewer_frames() -> None:
+    """200 frames in 8 cameras are 240 s: a third of 12 minutes and more, but not of 3."""
+    config = tiny(frame_step=5, track=_TRACK)
+    steps = {
+        minutes: affordable_tracking(replace(config, minutes=minutes), 200, 8).track.frame_step
+        for minutes in (0.0, 30.0, 3.0, 1.0, 0.01)
+    }
+    assert steps[0.0] == steps[30.0] == 1 and steps[3.0] == 5 and steps[1.0] == 15 and steps[0.01] == 0

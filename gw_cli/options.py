@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Annotated, TypeVar
 
 import typer
-from stages.shared.errors import UsageProblem
 
 from gw_cli import completion
+from stages.shared.errors import UsageProblem
 
 Config = TypeVar("Config")
 

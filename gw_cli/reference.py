@@ -16,7 +16,7 @@ _HEADER = """# Commands
 
 Made from the commands' own help by `make docs`; a test fails when this page is out of date. Every command
 also has `-h`, and ends with 0 done, 2 usage, 65 bad data, 66 missing input, 70 a bug of gw, 74 disk, 75
-locked, 130 interrupted. With `--json`, stdout carries one JSON object a line, the last one `{"result": {...}}`.
+locked, 130 interrupted. With `--json`, stdout has one JSON object a line, the last one `{"result": {...}}`.
 """
 
 

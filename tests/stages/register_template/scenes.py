@@ -39,15 +39,16 @@ def ring(count: int = 6, side: int = 160) -> list[Camera]:
     return cameras
 
 
-def write_capture(path: Path, poses: Poses | None = None) -> Path:
-    """A native capture of the posed embedded body, red on the left and blue on the right."""
+def write_capture(path: Path, poses: Poses | None = None, shown: Poses | None = None) -> Path:
+    """A native capture of the embedded body posed as `shown`, red on the left and blue on the right."""
     body = embedded_body()
+    shown = a_pose() if shown is None else shown
     given = a_pose() if poses is None else poses
     cameras = ring()
     with native_writer(path, cameras, heldout=[]) as writer:
         take = writer.take("walk", "train", given)
         for frame in range(len(given)):
-            vertices = posed_body(body, a_pose()[frame])
+            vertices = posed_body(body, shown[frame])
             scene = RayScene(vertices, body.faces)
             colors = np.where(vertices[:, :1] > 0, [[220, 30, 30]], [[30, 30, 220]])
             for camera in cameras:

@@ -139,19 +139,19 @@ def test_subject_a_fits_its_masks(subject_a: Path, shared_folder: Path, tmp_path
 
 @pytest.mark.long
 def test_a_capture_without_poses_is_fitted_and_later_stages_get_the_poses(tmp_path: Path) -> None:
-    capture = write_capture(tmp_path / "person")
+    shown = a_pose()
+    for frame, down in enumerate((0.9, 0.8, 0.7)):
+        shown.rotations[frame, 16, 2], shown.rotations[frame, 17, 2] = -down, down
+    capture = write_capture(tmp_path / "person", shown=shown)
     (capture / "takes" / "walk" / "smpl_params.npz").unlink()
     with pytest.raises(MissingInput, match="no body poses"):
         run(capture, tmp_path / "s", TINY)
     result = run(capture, tmp_path / "s", replace(TINY, poses="fit", template="body"))
-    assert result.summary["fitted_takes"] == ["walk"] and result.summary["frame"] == 1
+    assert result.summary["fitted_takes"] == ["walk"]
     take = open_subject_capture(Workspace(tmp_path / "s")).takes[0]
     assert take.posed and take.frames == [0, 1, 2]
     for frame in take.frames:
-        truth, found = (
-            posed_body(embedded_body(), a_pose()[frame]),
-            posed_body(embedded_body(), take.poses[frame]),
-        )
+        truth, found = (posed_body(embedded_body(), poses[frame]) for poses in (shown, take.poses))
         assert np.linalg.norm(truth - found, axis=1).mean() < 0.04
 
 

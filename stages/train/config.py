@@ -119,7 +119,7 @@ class TrainConfig:
 
 
 _ECONOMY = LossWeights(
-    ssim=0.5,
+    ssim=1.0,
     penetration=50.0,
     offset=2.0,
     smooth=0.002,

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from stages.shared.splat.rendering import LayeredRendering, Rendering
 
 Mask = NDArray[np.bool_]
+Floats = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -62,18 +62,24 @@ def repair(
     """Run the pass over every pair of layers, garments among each other first, then the body against each.
 
     Arguments:
-        rendering: of one camera; features are colours (3) and one-hot labels (L), on black.
+        rendering: of one camera, all layers alone; the composite's features are colours (3) and one-hot
+            labels (L), those of layers alone begin with colours; on black.
         layers: L names, inner to outer.
     """
-    composite = rendering.composite
-    features = composite.features.numpy().copy()
-    alpha, depth = composite.alpha.numpy().copy(), composite.depth.numpy().copy()
-    own_depth = [_depth(alone) for alone in rendering.layers]
-    total = np.zeros(alpha.shape, bool)
+    whole = rendering.composite
+    repaired = Rendering(whole.features.clone(), whole.alpha.clone(), whole.depth.clone())
+    total = np.zeros(tuple(whole.alpha.shape), bool)
+    box = _box(whole.alpha.numpy())  # what lies outside it costs nothing
+    features, alpha, depth = (
+        field.numpy()[box] for field in (repaired.features, repaired.alpha, repaired.depth)
+    )
+    own_color = [alone.features.numpy()[box][..., :3] for alone in rendering.layers]
+    own_alpha = [alone.alpha.numpy()[box] for alone in rendering.layers]
+    own_sum = [alone.depth.numpy()[box] for alone in rendering.layers]
+    own_depth = [_depth(*pair) for pair in zip(own_sum, own_alpha, strict=True)]
     counts = {}
     for inner, outer in _pairs(layers):
-        alone = rendering.layers[outer]
-        opaque = alone.alpha.numpy() > config.opaque
+        opaque = own_alpha[outer] > config.opaque
         if not opaque.any():
             continue
         margin = config.body_margin if layers[inner] == "body" else config.garment_margin
@@ -84,11 +90,11 @@ def repair(
         among = (winner == inner) | (winner == outer)  # a third layer in front is neither's business
         place, wrong = tuple(axis[among] for axis in place), winner[among] == inner
         counts[f"{layers[inner]}/{layers[outer]}"] = int(wrong.sum())
-        total[tuple(axis[wrong] for axis in place)] = True
-        features[place], alpha[place] = alone.features.numpy()[place], alone.alpha.numpy()[place]
-        depth[place] = alone.depth.numpy()[place]
-    repaired = (torch.from_numpy(values) for values in (features, alpha, depth))
-    return Repaired(Rendering(*repaired), total, counts)
+        total[box][tuple(axis[wrong] for axis in place)] = True
+        taken = np.zeros((len(wrong), features.shape[2]), np.float32)
+        taken[:, :3], taken[:, 3 + outer] = own_color[outer][place], own_alpha[outer][place]
+        features[place], alpha[place], depth[place] = taken, own_alpha[outer][place], own_sum[outer][place]
+    return Repaired(repaired, total, counts)
 
 
 def enclosed(shown: Mask, rim: int) -> Mask:
@@ -108,8 +114,15 @@ def _pairs(layers: tuple[str, ...]) -> list[tuple[int, int]]:
     return pairs + [(layers.index("body"), outer) for outer in garments if "body" in layers]
 
 
-def _depth(alone: Rendering) -> NDArray[np.float32]:
-    """(H, W) expected depth in metres; infinity where there is nothing."""
-    alpha = alone.alpha.numpy()
+def _box(alpha: Floats) -> tuple[slice, slice]:
+    """Rows and columns of a picture (H, W) with something in them."""
+    rows, columns = (np.flatnonzero((alpha > 0).any(axis=axis)) for axis in (1, 0))
+    if not len(rows):
+        return slice(0, 0), slice(0, 0)
+    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+
+
+def _depth(depth: Floats, alpha: Floats) -> Floats:
+    """(H, W) mean depth in metres from the sum over Gaussians; infinity where there is nothing."""
     far = np.full(alpha.shape, np.inf, np.float32)
-    return np.asarray(np.divide(alone.depth.numpy(), alpha, out=far, where=alpha > 1e-4))
+    return np.asarray(np.divide(depth, alpha, out=far, where=alpha > 1e-4))

@@ -70,15 +70,17 @@ def take_picture(
     gaussians = (composite.means, None, None, composite.opacities, composite.features, view, intrinsics)
     size = (camera.width, camera.height)
     with torch.no_grad():
-        if penetration is None and not each_layer:
+        if not each_layer and (penetration is None or len(composite.layers) == 1):
             picture = rasterize(*gaussians, *size, covars=composite.covariances, backend=backend)
-            return _shot(picture, composite.layers)
+            nothing = None if penetration is None else np.zeros(tuple(picture.alpha.shape), bool)
+            return _shot(picture, composite.layers, repaired=nothing)
         layered = rasterize_layers(
             *gaussians,
             *size,
             covars=composite.covariances,
             layer_ids=composite.layer_ids,
             layers=len(composite.layers),
+            alone_channels=3,
             backend=backend,
         )
         alone = {}

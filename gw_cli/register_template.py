@@ -36,7 +36,7 @@ def register(app: typer.Typer) -> None:
         params: Annotated[Path | None, typer.Option(help="Body fit of a mesh (smpl_params.npz).")] = None,
         fit: Annotated[
             bool,
-            typer.Option("--fit", help="Find the poses from masks (and the scan); no parameters needed."),
+            typer.Option("--fit", help="Find the poses from masks (and the scan, if it is the template)."),
         ] = False,
         refine: Annotated[
             bool, typer.Option("--refine", help="Improve the capture's poses by masks (and the scan).")

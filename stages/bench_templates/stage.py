@@ -28,10 +28,11 @@ from stages.bench_templates.skinned import (
 )
 from stages.bench_templates.truth import fit_errors, label_scores, shape_round_trip
 from stages.pipeline import BAKE_MAPS, CANONICALIZE, REGISTER_TEMPLATE, SEGMENT_LAYERS
-from stages.shared.artifacts import Workspace, write_whole
+from stages.shared.artifacts import Artifact, Workspace, write_whole
 from stages.shared.artifacts.canonical import readable_json
 from stages.shared.body.model import BodyModel
-from stages.shared.capture import Capture
+from stages.shared.capture import Capture, Take
+from stages.shared.capture.native_writer import native_writer
 from stages.shared.capture.outlines import filmed_frames, outline_agreement
 from stages.shared.capture.subject import open_subject_capture
 from stages.shared.commands import run_command
@@ -134,11 +135,11 @@ def _fit_rows(
     config: BenchTemplatesConfig,
     report: Report,
 ) -> list[Row]:
-    """Fit the body to the scan alone and compare with the given parameters."""
+    """Fit the body to the scan alone, and to one frame's pictures; compare with the given parameters."""
     names = ("fit_scan_joint_error_mm", "fit_scan_shape_error_mm")
-    images = Row(1, "fit_images_joint_error_mm", None, "no command fits a body to images alone")
     registered = workspace.require(REGISTER_TEMPLATE)
     take = capture.take(str(registered.summary["take"]))
+    images = _images_row(registered, take, body, output, config, report)
     scan = take.read_scan() if config.fit else None
     if scan is None:
         why = "the capture has no scan" if config.fit else "left out"
@@ -152,6 +153,34 @@ def _fit_rows(
     fitted = load_poses(Workspace(output / "fit_scan").require(REGISTER_TEMPLATE).file("smpl_params.npz"))
     joint, shape = fit_errors(body, fitted, take.poses, take.scan_frame or 0)
     return [Row(1, names[0], 1e3 * joint), Row(1, names[1], 1e3 * shape), images]
+
+
+def _images_row(
+    registered: Artifact,
+    take: Take,
+    body: BodyModel,
+    output: Path,
+    config: BenchTemplatesConfig,
+    report: Report,
+) -> Row:
+    """Joint error of a fit to the pictures of the template's frame: a capture of its own, without poses."""
+    name, frame = "fit_images_joint_error_mm", int(registered.summary["frame"])
+    if not config.fit:
+        return Row(1, name, None, "left out")
+    report.step("fitting the body to pictures alone")
+    seeing = [take.camera(camera) for camera in take.training_cameras if take.has_image(camera, frame)]
+    with native_writer(output / "one_frame", seeing) as writer:
+        views = writer.take(take.name, "train", None)
+        for camera in seeing:
+            picture, mask = take.image(camera.name, frame), take.mask(camera.name, frame)
+            views.view(camera.name, 0, picture, mask, take.labels(camera.name, frame), jpeg=False)
+    run_command(
+        "register-template", output / "one_frame", "-o", output / "fit_images", "--fit", "--template", "hull",
+        "--body-model", registered.file("body.safetensors"), "--preset", config.preset,
+    )  # fmt: skip
+    fitted = load_poses(Workspace(output / "fit_images").require(REGISTER_TEMPLATE).file("smpl_params.npz"))
+    joint, shape = fit_errors(body, fitted, take.poses, frame)
+    return Row(1, name, 1e3 * joint, f"shape {1e3 * shape:.1f} mm; {len(seeing)} cameras")
 
 
 def _residual_rows(workspace: Workspace) -> list[Row]:

@@ -25,8 +25,8 @@ class RegisterTemplateConfig:
         edge_m: length of the edges of a hull after remeshing, metres.
         most_faces: scans with more faces are simplified.
         fit_steps: 120 gives every level of a fit all of its steps, less a share of them.
-        poses: "given" (the capture's own, checked), "fit" (found from masks and scan), "refine" (the
-            capture's own as the start).
+        poses: "given" (the capture's own, checked), "fit" (found from masks, and from the scan where that is
+            the template), "refine" (the capture's own as the start).
         virtual_cameras: how many cameras are rendered around the scans in place of the capture's own; 0 none.
     """
 

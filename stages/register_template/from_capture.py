@@ -86,8 +86,8 @@ def _fit(
     source: Source, capture: Capture, take: Take, config: RegisterTemplateConfig, report: Report
 ) -> tuple[dict[str, Poses], dict[str, Any]]:
     """Fitted poses of all takes, or of those that have none; the take of the template decides the shape."""
-    scan = None
-    if take.scan is not None and take.scan_frame in take.frames:
+    scan = None  # a template that is not the scan asks for the pictures alone
+    if source.template == "scan" and take.scan is not None and take.scan_frame in take.frames:
         given = take.read_scan()
         assert given is not None
         scan = clean_scan(given, config.most_faces, str(take.scan), report).mesh

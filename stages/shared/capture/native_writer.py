@@ -77,14 +77,17 @@ class NativeWriter:
         self.notes: dict[str, Any] = {}
         write_file(folder / "cameras.json", cameras_json(cameras, heldout))
 
-    def take(self, name: str, split: Split, poses: Poses, scan_frame: int = 0) -> TakeWriter:
-        """A new take with poses for all its frames (row = frame number)."""
+    def take(self, name: str, split: Split, poses: Poses | None, scan_frame: int = 0) -> TakeWriter:
+        """A new take with poses for all its frames (row = frame number), or without any."""
         if not NAME.fullmatch(name):
             raise ValueError(f"unusable take name {name!r}")
         folder = self.folder / "takes" / name
         make_folders(folder)
-        write_file(folder / "smpl_params.npz", poses.to_npz_bytes())
-        self.takes.append({"name": name, "split": split, "fps": poses.fps, "scan_frame": scan_frame})
+        entry = {"name": name, "split": split, "scan_frame": scan_frame}
+        if poses is not None:
+            write_file(folder / "smpl_params.npz", poses.to_npz_bytes())
+            entry["fps"] = poses.fps
+        self.takes.append(entry)
         return TakeWriter(folder)
 
     def body_model(self, data: bytes, suffix: str = ".npz") -> None:

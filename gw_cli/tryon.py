@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -14,7 +15,6 @@ from gw_cli.options import (
     Betas,
     DryRun,
     FilmFolder,
-    FrameRate,
     Json,
     Passes,
     Penetration,
@@ -46,11 +46,33 @@ def register(app: typer.Typer) -> None:
         save_outfit: Annotated[
             Path | None, typer.Option(help="Also write an outfit file that names the bundles by digest.")
         ] = None,
+        tradeoff: Annotated[
+            Path | None,
+            typer.Option(
+                metavar="FOLDER",
+                help="A folder of `gw bench tradeoff`: wear its subject, at the point that --fps or "
+                "--quality asks for.",
+            ),
+        ] = None,
+        quality: Annotated[
+            str,
+            typer.Option(
+                metavar="DB",
+                help="With --tradeoff: the fastest point at most so many dB below the best, as 0.3.",
+            ),
+        ] = "",
         output: FilmFolder = Path("tryon"),
         betas: Betas = "",
         camera: Annotated[str, typer.Option(help="static | orbit.")] = "static",
         frames: Rows = "",
-        fps: FrameRate = 0.0,
+        fps: Annotated[
+            float,
+            typer.Option(
+                min=0,
+                help="Frames per second; 0 keeps the motion's own. With --tradeoff frames must also be made "
+                "that fast.",
+            ),
+        ] = 0.0,
         width: Pixels = None,
         height: Pixels = None,
         background: Background = "white",
@@ -74,11 +96,20 @@ def register(app: typer.Typer) -> None:
         outfit file, which finds its bundles by digest. Which garment lies over which follows from the layers
         (body < lower < upper < outer), not from the order they are named in. Garments take the wearer's
         shape. Frames have a transparent background.
+
+        With `--tradeoff FOLDER` no bundles are named: `--fps 25` wears the best-looking operating point that
+        was measured to play at that rate, `--quality 0.3` the fastest at most 0.3 dB below the best one.
+        What that gave up is said, and is in the result.
         """
         from stages.tryon import stage
         from stages.tryon.config import PRESETS
 
         console = Console(as_json)
+        chosen: dict[str, Any] = {}
+        if tradeoff is not None or quality:
+            _only(tradeoff, bundles, wardrobe, outfit)
+            bundles, chosen = _operating_point(tradeoff, fps, quality)  # type: ignore[arg-type]
+            console.say(chosen["given_up"])
         bundles, file_betas = _bundles(bundles or [], wardrobe, outfit)
         betas = betas or file_betas
         base = preset_config(PRESETS, preset)
@@ -106,9 +137,51 @@ def register(app: typer.Typer) -> None:
         result = stage.run(bundles, poses, output, config, console)
         worn = " ".join(str(bundle) for bundle in bundles)
         console.result(
-            {"path": result.path, **result.summary},
+            {"path": result.path, **chosen, **result.summary},
             next_command=f"gw render {worn} --poses {poses} --camera orbit -o render",
         )
+
+
+def _only(tradeoff: Path | None, bundles: list[Path] | None, wardrobe: Path | None, outfit: str) -> None:
+    """Raise where --tradeoff and what belongs to it contradict the rest."""
+    if tradeoff is None:
+        raise UsageProblem(
+            "There is nothing measured to choose from.",
+            "option --quality",
+            "Give the folder of gw bench tradeoff: --tradeoff FOLDER.",
+        )
+    if bundles or wardrobe is not None or outfit:
+        raise UsageProblem(
+            "It is not clear what is worn.",
+            "BUNDLES, --wardrobe, --outfit, --tradeoff",
+            "With --tradeoff the bundles are those of the operating point: name no others.",
+        )
+
+
+def _operating_point(folder: Path, fps: float, quality: str) -> tuple[list[Path], dict[str, Any]]:
+    """The bundles of the point that is asked for, and what to say about it."""
+    from stages.bench_tradeoff.front import chosen_point, given_up
+    from stages.bench_tradeoff.stage import bundles_of, read_points
+
+    points = read_points(folder)
+    point = chosen_point(points, fps, _decibels(quality) if quality else None)
+    told = {
+        "operating_point": point.name,
+        "measured_frames_per_second": point.frames_per_second,
+        "given_up": given_up(points, point),
+    }
+    return bundles_of(folder, point), told
+
+
+def _decibels(text: str) -> float:
+    """ "0.3", "0.3dB" or "0.3 dB"."""
+    try:
+        loss = float(text.strip().lower().removesuffix("db"))
+    except ValueError:
+        loss = -1.0
+    if not 0 <= loss < math.inf:
+        raise UsageProblem(f"{text!r} is no loss of quality.", "option --quality", "Give decibels, as 0.3.")
+    return loss
 
 
 def _bundles(given: list[Path], wardrobe: Path | None, outfit: str) -> tuple[list[Path], str]:

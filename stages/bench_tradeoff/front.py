@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from stages.shared.errors import BadData, MissingInput
+from stages.shared.errors import BadData, MissingInput, UsageProblem
 
 
 @dataclass(frozen=True)
@@ -91,6 +91,30 @@ def good_enough(points: Sequence[OperatingPoint], loss: float) -> OperatingPoint
     best = max(point.psnr_foreground for point in points)
     near = [point for point in points if point.psnr_foreground >= best - loss]
     return max(near, key=lambda point: point.frames_per_second)
+
+
+def chosen_point(
+    points: Sequence[OperatingPoint], frames_per_second: float, loss: float | None
+) -> OperatingPoint:
+    """What a rate, a loss (dB), or both ask for; 0 and None ask for nothing.
+
+    With both: the best-looking of those that are fast enough and near enough.
+
+    Raises:
+        UsageProblem: nothing is asked for. MissingInput: no point is fast enough (and near enough).
+    """
+    if loss is None and not frames_per_second:
+        raise UsageProblem(
+            "It is not said what to choose the operating point by.",
+            "options --tradeoff, --fps, --quality",
+            "Give --fps 25 (frames a second), --quality 0.3 (dB below the best), or both.",
+        )
+    if loss is None:
+        return fast_enough(points, frames_per_second)
+    if not frames_per_second:
+        return good_enough(points, loss)
+    best = max(point.psnr_foreground for point in points)
+    return fast_enough([p for p in points if p.psnr_foreground >= best - loss], frames_per_second)
 
 
 def given_up(points: Sequence[OperatingPoint], chosen: OperatingPoint) -> str:

@@ -105,8 +105,19 @@ def read_points(folder: Path) -> list[OperatingPoint]:
 
 
 def bundles_of(folder: Path, point: OperatingPoint) -> list[Path]:
-    """The bundle files of a point."""
-    return sorted((folder / "points" / point.name).glob("*.gwg"))
+    """The bundle files of a point.
+
+    Raises:
+        MissingInput: they are gone.
+    """
+    found = sorted((folder / "points" / point.name).glob("*.gwg"))
+    if not found:
+        raise MissingInput(
+            f"The bundles of the operating point {point.name} are gone.",
+            str(folder / "points" / point.name),
+            "Run gw bench tradeoff again with this folder as -o.",
+        )
+    return found
 
 
 def _train(subject: Path, pitch: float, config: BenchTradeoffConfig) -> tuple[list[str], float]:

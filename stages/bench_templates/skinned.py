@@ -9,9 +9,9 @@ import numpy as np
 import torch
 
 from stages.shared.artifacts import Artifact
-from stages.shared.body.canonical import posed_from_canonical
 from stages.shared.body.kinematics import skin
 from stages.shared.body.model import BodyModel
+from stages.shared.body.posed import row_transforms
 from stages.shared.body.poses import Poses
 from stages.shared.capture import Take
 
@@ -51,11 +51,9 @@ class SkinnedLayer:
 
     def posed(self, body: BodyModel, poses: Poses, frame: int) -> np.ndarray:
         """(V, 3) m, world, in the pose of a row of `poses`."""
-        betas = torch.as_tensor(poses.betas, dtype=torch.float64)
-        rotations = torch.as_tensor(poses.rotations[frame], dtype=torch.float64)
-        translation = torch.as_tensor(poses.translation[frame], dtype=torch.float64)
-        shaped = self.vertices + np.einsum("vbk,b->vk", self.directions, betas.numpy())
-        transforms = posed_from_canonical(body, rotations, translation, betas)
+        betas = poses.betas.astype(np.float64)
+        shaped = self.vertices + np.einsum("vbk,b->vk", self.directions, betas)
+        transforms = torch.from_numpy(row_transforms(body, poses, frame))
         return skin(torch.from_numpy(shaped), torch.from_numpy(self.weights), transforms).numpy()
 
     def stretch(self, posed: np.ndarray) -> float:

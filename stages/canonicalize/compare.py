@@ -24,17 +24,18 @@ from scipy.spatial import cKDTree
 
 from stages.canonicalize.config import CanonicalizeConfig
 from stages.canonicalize.shape import add_shape, canonical_body
-from stages.canonicalize.stage import spread_body, start_weights, template_transforms
+from stages.canonicalize.stage import spread_body, start_weights
 from stages.canonicalize.tearing import cut_tears, edge_growth
 from stages.canonicalize.unpose import unpose
 from stages.pipeline import REGISTER_TEMPLATE
 from stages.shared.artifacts import Workspace, write_whole
 from stages.shared.artifacts.canonical import readable_json
 from stages.shared.artifacts.pictures import encode_png
-from stages.shared.body.canonical import canonical_from_rest, posed_from_canonical
+from stages.shared.body.canonical import canonical_from_rest
 from stages.shared.body.inverse import forward_skin, inverse_skin
-from stages.shared.body.kinematics import posed_vertices, shaped_joints
+from stages.shared.body.kinematics import shaped_joints
 from stages.shared.body.model import BodyModel
+from stages.shared.body.posed import posed_body, row_transforms
 from stages.shared.body.poses import Poses
 from stages.shared.capture.outlines import filmed_frames, outline_agreement
 from stages.shared.capture.subject import open_subject_capture
@@ -81,7 +82,7 @@ def run(
     body = BodyModel.from_arrays(registered.arrays("body"))
     pose = load_poses(registered.file("smpl_params.npz"))[int(registered.summary["frame"])]
     world, faces = template["vertices"].astype(np.float64), template["faces"]
-    transforms = template_transforms(body, pose)
+    transforms = row_transforms(body, pose)
     takes: tuple[Take, ...] = ()
     if workspace.settings().get("capture"):
         takes = open_subject_capture(workspace, body).test_takes
@@ -117,7 +118,7 @@ def _unposed(
     """Canonical points (V, 3), subject's shape, and the weights (V, 55) that lead there."""
     start = start_weights(body, pose, world)
     if name == "nearest":
-        start = body.skin_weights.astype(np.float64)[cKDTree(_posed_body(body, pose)).query(world)[1]]
+        start = body.skin_weights.astype(np.float64)[cKDTree(posed_body(body, pose)).query(world)[1]]
     if name != "diffused":
         return inverse_skin(world, start, transforms)[0], start
     shaped = add_shape(*canonical_body(body), pose.betas)
@@ -177,7 +178,7 @@ def _motion(
     for take in takes:
 
         def posed(frame: int, take: Take = take) -> np.ndarray:
-            return forward_skin(points, weights, _transforms(body, take.poses, frame))
+            return forward_skin(points, weights, row_transforms(body, take.poses, frame))
 
         frames = filmed_frames(take)
         scores += list(
@@ -211,7 +212,7 @@ def _pictures(
 
 def _armpits(body: BodyModel, pose: Poses) -> np.ndarray:
     """(2, 3) shoulder joints in the canonical pose, subject's shape, metres."""
-    betas = _double(pose.betas)
+    betas = torch.from_numpy(pose.betas).double()
     joints, moved = shaped_joints(body, betas).numpy(), canonical_from_rest(body, betas).numpy()
     return np.stack([(moved[j] @ np.append(joints[j], 1.0))[:3] for j in _SHOULDERS])
 
@@ -219,23 +220,3 @@ def _armpits(body: BodyModel, pose: Poses) -> np.ndarray:
 def _near(points: np.ndarray, armpits: np.ndarray) -> np.ndarray:
     """(V,) bool: within reach of an armpit."""
     return np.asarray(cKDTree(armpits).query(points)[0] < _ARMPIT)
-
-
-def _posed_body(body: BodyModel, pose: Poses) -> np.ndarray:
-    return posed_vertices(
-        body,
-        _double(pose.rotations[0]),
-        _double(pose.translation[0]),
-        _double(pose.betas),
-        _double(pose.expression[0]),
-    ).numpy()
-
-
-def _transforms(body: BodyModel, poses: Poses, frame: int) -> np.ndarray:
-    return posed_from_canonical(
-        body, _double(poses.rotations[frame]), _double(poses.translation[frame]), _double(poses.betas)
-    ).numpy()
-
-
-def _double(values: np.ndarray) -> torch.Tensor:
-    return torch.as_tensor(np.asarray(values), dtype=torch.float64)

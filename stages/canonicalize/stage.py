@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from scipy.spatial import cKDTree
 
 from stages.canonicalize.config import CanonicalizeConfig
@@ -29,10 +28,9 @@ from stages.canonicalize.unpose import Unposed, unpose
 from stages.pipeline import CANONICALIZE, REGISTER_TEMPLATE
 from stages.shared.artifacts import Artifact, Workspace
 from stages.shared.artifacts.result import StageResult
-from stages.shared.body.canonical import posed_from_canonical
 from stages.shared.body.inverse import forward_skin, inverse_skin
-from stages.shared.body.kinematics import posed_vertices
 from stages.shared.body.model import BodyModel
+from stages.shared.body.posed import posed_body, row_transforms
 from stages.shared.body.poses import Poses
 from stages.shared.fields.body_field import BodyField, FieldConfig, build_body_field
 from stages.shared.fields.diffusion import inverse_distance_matrix
@@ -75,7 +73,7 @@ def run(
         body = BodyModel.from_arrays(registered.arrays("body"))
         pose = load_poses(registered.file("smpl_params.npz"))[int(registered.summary["frame"])]
         world, faces = template["vertices"].astype(np.float64), template["faces"]
-        transforms = template_transforms(body, pose)
+        transforms = row_transforms(body, pose)
         body_vertices, body_directions = canonical_body(body)
 
         report.step("spreading skinning weights around the body")
@@ -124,23 +122,9 @@ def plan(subject: Path, config: CanonicalizeConfig = CanonicalizeConfig()) -> Pl
     )
 
 
-def template_transforms(body: BodyModel, pose: Poses) -> np.ndarray:
-    """posed_from_canonical (55, 4, 4) float64 of the template's frame."""
-    return posed_from_canonical(
-        body, _double(pose.rotations[0]), _double(pose.translation[0]), _double(pose.betas)
-    ).numpy()
-
-
 def start_weights(body: BodyModel, pose: Poses, world: np.ndarray) -> np.ndarray:
     """Weights (V, 55) of world points by inverse distance to the posed body: where the inversion starts."""
-    posed = posed_vertices(
-        body,
-        _double(pose.rotations[0]),
-        _double(pose.translation[0]),
-        _double(pose.betas),
-        _double(pose.expression[0]),
-    ).numpy()
-    matrix, _, _ = inverse_distance_matrix(cKDTree(posed), world)
+    matrix, _, _ = inverse_distance_matrix(cKDTree(posed_body(body, pose)), world)
     return matrix @ body.skin_weights.astype(np.float64)
 
 
@@ -205,7 +189,3 @@ def _tell(artifact: Artifact, report: Report) -> None:
         )
     if summary["residual_max_m"] > 1e-5:
         report.warn(f"posing the template back misses it by up to {1e3 * summary['residual_max_m']:.3g} mm")
-
-
-def _double(values: np.ndarray) -> torch.Tensor:
-    return torch.as_tensor(np.asarray(values), dtype=torch.float64)

@@ -11,9 +11,10 @@ from stages.register_template.config import RegisterTemplateConfig
 from stages.register_template.fitting.fit_capture import fit_takes
 from stages.register_template.frame_choice import choose_frame
 from stages.register_template.scan_cleaning import clean_scan
-from stages.register_template.sources import Registered, Source, frames_checked, posed_body
+from stages.register_template.sources import Registered, Source, frames_checked
 from stages.register_template.surface import distances, make_surface
 from stages.shared.body import Poses
+from stages.shared.body.posed import posed_body
 from stages.shared.capture import Capture, Take
 from stages.shared.capture.alignment import check_alignment, overlay_picture, silhouette_ious
 from stages.shared.capture.convention import AS_IS, take_in_convention

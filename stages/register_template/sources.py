@@ -7,13 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from stages.register_template.config import RegisterTemplateConfig
 from stages.register_template.frame_choice import choose_frame
 from stages.shared.artifacts import ExternalFiles
-from stages.shared.body import BodyModel, Poses, embedded_body, load_body, posed_vertices
+from stages.shared.body import BodyModel, Poses, embedded_body, load_body
 from stages.shared.body.convert import convert_poses
 from stages.shared.capture import Capture, Take, open_capture
 from stages.shared.capture.open_capture import with_poses
@@ -138,18 +137,6 @@ def mesh_source(
     if body_model is not None:
         inputs["body_model"] = ExternalFiles("body_model", Path(body_model).parent, [Path(body_model)])
     return Source(body, "mesh", inputs, config.frame or 0, mesh=path, params=params, fits_body=params is None)
-
-
-def posed_body(body: BodyModel, pose: Poses) -> NDArray[np.float64]:
-    """Vertices (V, 3) of the body in the first frame of `pose`, world, metres."""
-    with torch.no_grad():
-        return posed_vertices(
-            body,
-            torch.from_numpy(pose.rotations[0]).double(),
-            torch.from_numpy(pose.translation[0]).double(),
-            torch.from_numpy(pose.betas).double(),
-            torch.from_numpy(pose.expression[0]).double(),
-        ).numpy()
 
 
 def _take(capture: Capture, config: RegisterTemplateConfig) -> Take:

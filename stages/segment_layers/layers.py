@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from scipy.spatial import cKDTree
 
 from stages.segment_layers.beneath import faces_beneath
@@ -13,8 +12,8 @@ from stages.segment_layers.config import SegmentLayersConfig
 from stages.segment_layers.extract import LayerPart, extract_part, join, sink
 from stages.segment_layers.orientation import outward_faces
 from stages.segment_layers.regions import face_labels
-from stages.shared.body.kinematics import posed_vertices
 from stages.shared.body.model import BodyModel
+from stages.shared.body.posed import posed_body
 from stages.shared.body.poses import Poses
 from stages.shared.capture import LABELS
 from stages.shared.meshes.topology import vertex_normals
@@ -109,11 +108,7 @@ def _body_mesh(
     body: BodyModel,
     pose: Poses,
 ) -> dict[str, np.ndarray]:
-    double = [
-        torch.as_tensor(values, dtype=torch.float64)
-        for values in (pose.rotations[0], pose.translation[0], pose.betas, pose.expression[0])
-    ]
-    world = posed_vertices(body, *double).numpy()
+    world = posed_body(body, pose)
     colors, seen = np.zeros((len(world), 3), np.uint8), np.zeros(len(world), np.uint8)
     skin = np.flatnonzero(labels == SKIN)
     if template.colors is not None and len(skin):

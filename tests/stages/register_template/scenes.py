@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.register_template.sources import posed_body
 from stages.shared.body import Poses, embedded_body
+from stages.shared.body.posed import posed_body
 from stages.shared.capture import Camera, native_writer
 from stages.shared.meshes.raycast import RayScene
 

@@ -13,10 +13,10 @@ from stages.pipeline import REGISTER_TEMPLATE
 from stages.register_template.config import PRESETS
 from stages.register_template.fitting.bones import State, bones_of, vertices_of
 from stages.register_template.fitting.fit_scan import fit_scan
-from stages.register_template.sources import posed_body
 from stages.register_template.stage import plan, run
 from stages.shared.artifacts import Workspace
 from stages.shared.body import BodyModel, Poses, embedded_body, load_body
+from stages.shared.body.posed import posed_body
 from stages.shared.capture.subject import open_subject_capture
 from stages.shared.errors import BadData, MissingInput, UsageProblem
 from stages.shared.meshes.load import load_mesh, write_ply

@@ -10,10 +10,10 @@ import pytest
 
 from stages.register_template.config import PRESETS
 from stages.register_template.scan_cleaning import clean_scan, outward_faces, unit_of, weld
-from stages.register_template.sources import posed_body
 from stages.register_template.stage import run
 from stages.register_template.surface import turned_upright
 from stages.shared.body import embedded_body
+from stages.shared.body.posed import posed_body
 from stages.shared.errors import BadData
 from stages.shared.meshes.load import write_ply
 from stages.shared.meshes.mesh import Mesh

@@ -87,7 +87,7 @@ def run(
     """Make the capture's template and measure it; `body_model` as for `gw register-template`.
 
     Raises:
-        BadData: one of the commands failed.
+        CommandFailed: one of the commands failed.
     """
     subject = output / "subject"
     output.mkdir(parents=True, exist_ok=True)

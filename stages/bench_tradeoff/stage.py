@@ -50,7 +50,7 @@ def run(
     """Train at every pitch, play with every decoder, and draw what that gives.
 
     Raises:
-        UsageProblem: nothing to measure. BadData: a command failed; its own message is passed on.
+        UsageProblem: nothing to measure. CommandFailed: a command failed.
     """
     if not config.pitches or not config.decoders or config.minutes <= 0:
         raise UsageProblem("There is nothing to measure.", "options", "Give minutes and pitches.")

@@ -12,11 +12,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-import subprocess
-import sys
-import tempfile
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,7 +20,7 @@ from stages.demo.config import DemoConfig
 from stages.demo.page import write_page
 from stages.demo.recipe import DemoOutcome, DemoStep, steps
 from stages.shared.artifacts import write_whole
-from stages.shared.errors import GwError
+from stages.shared.commands import run_command
 from stages.shared.plan import Plan
 from stages.shared.report import SILENT, Report
 
@@ -41,16 +36,6 @@ class DemoResult:
     summary: dict[str, Any]
 
 
-class StepFailed(GwError):
-    """A command of the demo failed; its own three lines are passed on."""
-
-    def __init__(self, step: DemoStep, exit_code: int, message: str) -> None:
-        super().__init__(
-            f"The step `{step.command}` failed.", message, "Run that command by itself to see more."
-        )
-        self.exit_code = exit_code
-
-
 def plan(folder: Path, config: DemoConfig) -> Plan:
     """The commands that `run` would run."""
     return Plan(
@@ -64,7 +49,7 @@ def run(folder: Path, config: DemoConfig = DemoConfig(), report: Report = SILENT
     """Run every step that is not done, then write the page.
 
     Raises:
-        StepFailed: with the exit code of the command that failed.
+        CommandFailed: with the exit code of the command that failed.
     """
     folder.mkdir(parents=True, exist_ok=True)
     known = _read_known(folder)
@@ -107,20 +92,8 @@ def _reuse(folder: Path, step: DemoStep, known: dict[str, Any] | None) -> DemoOu
 
 
 def _run_step(folder: Path, step: DemoStep) -> DemoOutcome:
-    started = time.monotonic()
-    arguments = [sys.executable, "-m", "gw_cli", *step.arguments, "--json"]
-    with tempfile.TemporaryFile("w+") as stdout, tempfile.TemporaryFile("w+") as stderr:
-        process = subprocess.Popen(arguments, cwd=folder, stdout=stdout, stderr=stderr)
-        # wait4 and not wait: it gives the peak memory of this one child.
-        _, status, usage = os.wait4(process.pid, 0)
-        process.returncode = os.waitstatus_to_exitcode(status)
-        stdout.seek(0)
-        stderr.seek(0)
-        if process.returncode != 0:
-            message = " / ".join(stderr.read().strip().splitlines()[-3:])
-            raise StepFailed(step, max(process.returncode, 1), message)
-        result = json.loads(stdout.read().strip().splitlines()[-1]).get("result", {})
-    return DemoOutcome(step, time.monotonic() - started, usage.ru_maxrss * 1024, result)
+    made = run_command(*step.arguments, folder=folder)
+    return DemoOutcome(step, made.seconds, made.peak_bytes, made.result)
 
 
 def _summary(page: Path, outcomes: list[DemoOutcome]) -> dict[str, Any]:

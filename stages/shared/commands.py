@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import subprocess
 import sys
 import tempfile
@@ -12,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from stages.shared.errors import BadData
+from stages.shared.errors import GwError
 
 
 @dataclass(frozen=True)
@@ -24,11 +25,19 @@ class Outcome:
     result: dict[str, Any]
 
 
+class CommandFailed(GwError):
+    """A command did not end well; its own three lines and its exit code are passed on."""
+
+    def __init__(self, command: str, exit_code: int, message: str) -> None:
+        super().__init__(f"The command `{command}` failed.", message, "Run it by itself to see more.")
+        self.exit_code = exit_code
+
+
 def run_command(*arguments: str | Path, folder: Path | None = None) -> Outcome:
     """Run `gw` with these arguments and `--json`, in `folder` if one is given.
 
     Raises:
-        BadData: the command failed; its own message is passed on.
+        CommandFailed: the command failed.
     """
     words = [str(argument) for argument in arguments]
     started = time.monotonic()
@@ -43,6 +52,6 @@ def run_command(*arguments: str | Path, folder: Path | None = None) -> Outcome:
         stderr.seek(0)
         if process.returncode != 0:
             message = " / ".join(stderr.read().strip().splitlines()[-3:])
-            raise BadData(f"The command `gw {' '.join(words)}` failed.", message, "Run it by itself.")
+            raise CommandFailed(shlex.join(["gw", *words]), max(process.returncode, 1), message)
         result = json.loads(stdout.read().strip().splitlines()[-1]).get("result", {})
     return Outcome(time.monotonic() - started, usage.ru_maxrss * 1024, result)

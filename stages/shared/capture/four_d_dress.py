@@ -18,12 +18,10 @@ from stages.shared.body.poses import Poses, read_smpl_params
 from stages.shared.capture.camera import Camera, checked_camera
 from stages.shared.capture.gather import make_take, numbered_files, view_files
 from stages.shared.capture.images import read_bytes
-from stages.shared.capture.labels import LABELS
-from stages.shared.capture.pickles import PickleReader
+from stages.shared.capture.pickles import PickleReader, array_of, dictionary
 from stages.shared.capture.png import check_picture
 from stages.shared.capture.take import Capture, Split, Take
 from stages.shared.errors import BadData, MissingInput, UsageProblem
-from stages.shared.meshes.mesh import Mesh, check_mesh
 
 FORMAT: Final = "4d-dress"
 FPS: Final = 30.0
@@ -78,43 +76,6 @@ def open_4d_dress(root: Path, body: BodyModel | None, body_model_path: Path | No
     return Capture(root, FORMAT, takes, body_model_path)
 
 
-def read_scan(path: Path) -> Mesh:
-    """The scan of a frame, `Meshes_pkl/mesh-f*.pkl`, with its labels when `Semantic/labels` has them.
-
-    Raises:
-        MissingInput, BadData: as `PickleReader.read` and `check_mesh`; labels that do not fit the mesh.
-    """
-    with PickleReader() as pickles:
-        content = _dictionary(pickles.read(path), path)
-        label_path = path.parent.parent / "Semantic" / "labels" / path.name.replace("mesh-", "label-")
-        labels = None
-        if label_path.is_file():
-            labels = _dictionary(pickles.read(label_path), label_path).get("scan_labels")
-    vertices, faces = (_array(content, name, path) for name in ("vertices", "faces"))
-    if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
-        raise BadData("vertices or faces do not have three columns.", str(path), "Get the file again.")
-    if faces.size and (faces.dtype.kind not in "iu" or int(faces.max()) >= 2**31 or int(faces.min()) < 0):
-        raise BadData("faces are not vertex numbers.", str(path), "Get the file again.")
-    colors = content.get("colors")
-    fitting = isinstance(colors, np.ndarray) and colors.ndim == 2 and len(colors) == len(vertices)
-    if labels is not None:
-        labels = np.asarray(labels).reshape(-1)
-        unknown = sorted(set(np.unique(labels).tolist()) - set(LABELS))
-        if len(labels) != len(vertices) or unknown:
-            raise BadData(
-                f"The labels do not fit: {len(labels)} for {len(vertices)} vertices, unknown {unknown[:5]}.",
-                str(label_path),
-                "Get the file again.",
-            )
-    mesh = Mesh(
-        vertices,
-        faces,
-        np.clip(np.asarray(colors)[:, :3], 0, 255).astype(np.uint8) if fitting else None,
-        None if labels is None else labels.astype(np.uint8),
-    )
-    return check_mesh(mesh, str(path))
-
-
 def _read_take(folder: Path, split: Split, pickles: PickleReader, body: BodyModel | None) -> Take:
     fits = numbered_files(folder / "SMPLX", re.compile(r"mesh-f(\d+)_smplx\.pkl"))
     order = sorted(fits) or _frames_with_images(folder)
@@ -122,10 +83,10 @@ def _read_take(folder: Path, split: Split, pickles: PickleReader, body: BodyMode
     notes: list[str] = []
     poses: Poses | float = FPS
     if fits:
-        given = [_dictionary(pickles.read(fits[number]), fits[number]) for number in order]
+        given = [dictionary(pickles.read(fits[number]), fits[number]) for number in order]
         poses = _poses(given, folder / "SMPLX", body, notes)
     camera_path = folder / "Capture" / "cameras.pkl"
-    calibration = _dictionary(pickles.read(camera_path), camera_path)
+    calibration = dictionary(pickles.read(camera_path), camera_path)
     cameras, views = {}, {}
     for name, entry in calibration.items():
         place = folder / "Capture" / name
@@ -188,13 +149,13 @@ def _poses(frames: list[dict[str, Any]], folder: Path, body: BodyModel | None, n
     for name in ("global_orient", "transl", "body_pose", *_OPTIONAL):
         if name in _OPTIONAL and name not in frames[0]:
             continue
-        rows = [_array(frame, name, folder).reshape(-1) for frame in frames]
+        rows = [array_of(frame, name, folder).reshape(-1) for frame in frames]
         if len({len(values) for values in rows}) != 1:
             raise BadData(
                 f"{name} has different lengths in different frames.", str(folder), "Get the files again."
             )
         arrays[name] = np.stack(rows)
-    arrays["betas"] = _array(frames[0], "betas", folder).reshape(1, -1)
+    arrays["betas"] = array_of(frames[0], "betas", folder).reshape(1, -1)
     arrays["fps"] = np.array(FPS)
     if any(arrays[name].shape[1] == _HAND_COEFFICIENTS for name in arrays if name.endswith("_hand_pose")):
         if body is None or body.hand_components_left is None or body.hand_components_right is None:
@@ -236,18 +197,3 @@ def _split(folder: Path, folders: list[Path]) -> Split:
 def _take_number(folder: Path) -> int:
     digits = re.sub(r"\D", "", folder.name)[:9]
     return int(digits) if digits else 0
-
-
-def _dictionary(value: Any, path: Path) -> dict[str, Any]:
-    if not isinstance(value, dict):
-        raise BadData("The file does not hold a dictionary.", str(path), "Get the file again.")
-    return value
-
-
-def _array(content: dict[str, Any], name: str, path: Path) -> np.ndarray:
-    value = content.get(name)
-    if isinstance(value, list):
-        value = np.asarray(value) if all(isinstance(item, int | float) for item in value) else None
-    if not isinstance(value, np.ndarray):
-        raise BadData(f"{name} is missing or no array.", str(path), "Get the file again.")
-    return value

@@ -126,3 +126,20 @@ def _refusal(path: Path, reason: str) -> BadData:
         str(path),
         "Pickles can run code when opened: use only files of the data set's owners. Get this one again.",
     )
+
+
+def dictionary(value: Any, path: Path) -> dict[str, Any]:
+    """What was read from `path`, if it is a dictionary. Raises BadData otherwise."""
+    if not isinstance(value, dict):
+        raise BadData("The file does not hold a dictionary.", str(path), "Get the file again.")
+    return value
+
+
+def array_of(content: dict[str, Any], name: str, path: Path) -> np.ndarray:
+    """The array (or list of numbers) of that name. Raises BadData where there is none."""
+    value = content.get(name)
+    if isinstance(value, list):
+        value = np.asarray(value) if all(isinstance(item, int | float) for item in value) else None
+    if not isinstance(value, np.ndarray):
+        raise BadData(f"{name} is missing or no array.", str(path), "Get the file again.")
+    return value

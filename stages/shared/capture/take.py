@@ -14,6 +14,7 @@ from stages.shared.body.poses import Poses
 from stages.shared.capture.camera import Box, Camera
 from stages.shared.capture.images import check_size, read_image, read_mask
 from stages.shared.capture.labels import read_labels
+from stages.shared.capture.pickled_scan import read_scan
 from stages.shared.errors import BadData, MissingInput, UsageProblem
 from stages.shared.meshes.load import load_mesh
 from stages.shared.meshes.mesh import Mesh
@@ -129,8 +130,6 @@ class Take:
         if self.scan is None:
             return None
         if self.scan.suffix == ".pkl":
-            from stages.shared.capture.four_d_dress import read_scan  # that reader makes takes
-
             return read_scan(self.scan)
         return load_mesh(self.scan)
 

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.shared.capture.camera import Camera
-from stages.shared.capture.four_d_dress import read_scan
 from stages.shared.capture.labels import NO_LABEL
+from stages.shared.capture.pickled_scan import read_scan
 from stages.shared.capture.pickles import PickleReader
 from stages.shared.capture.projection import sample_bilinear
 from stages.shared.errors import BadData

@@ -22,8 +22,7 @@ from stages.register_template.config import PRESETS as REGISTER
 from stages.segment_layers import stage as segment_layers
 from stages.segment_layers.config import PRESETS as SEGMENT
 from stages.shared.body.load import embedded_body
-from stages.shared.commands import Outcome, run_command
-from stages.shared.errors import BadData
+from stages.shared.commands import CommandFailed, Outcome, run_command
 from tests.stages.dressed_body import LOWER, SKIN, UPPER, dressed, write_capture
 
 
@@ -128,6 +127,6 @@ def test_bars_are_sides_and_nothing_measured_is_neither_met_nor_missed() -> None
 
 
 def test_a_command_that_fails_passes_its_message_on(tmp_path: Path) -> None:
-    with pytest.raises(BadData, match="canonicalize") as failure:
+    with pytest.raises(CommandFailed, match="canonicalize") as failure:
         run_command("canonicalize", tmp_path / "nobody")
-    assert "register-template" in str(failure.value)
+    assert "register-template" in str(failure.value) and failure.value.exit_code == 66

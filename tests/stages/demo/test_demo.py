@@ -13,6 +13,7 @@ from stages.demo import stage
 from stages.demo.config import DemoConfig
 from stages.demo.page import write_page
 from stages.demo.recipe import DemoOutcome, DemoStep, steps
+from stages.shared.commands import CommandFailed
 
 
 @pytest.fixture
@@ -56,7 +57,7 @@ def test_a_lost_output_runs_its_step_again(tmp_path: Path, ran: list[str]) -> No
 
 def test_a_failing_command_passes_its_exit_code_on(tmp_path: Path) -> None:
     step = DemoStep("x", "x", ("canonicalize", "not-there"), ())
-    with pytest.raises(stage.StepFailed) as caught:
+    with pytest.raises(CommandFailed) as caught:
         stage._run_step(tmp_path, step)
     assert caught.value.exit_code == 66
 

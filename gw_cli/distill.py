@@ -9,8 +9,7 @@ from typing import Annotated
 import typer
 
 from gw_cli.console import Console, command
-from gw_cli.options import DryRun, Force, Json, Preset, Subject, names, preset_config
-from stages.shared.errors import UsageProblem
+from gw_cli.options import DryRun, Force, Json, Preset, Subject, parse_ranks, preset_config
 
 
 def register(app: typer.Typer) -> None:
@@ -42,20 +41,10 @@ def register(app: typer.Typer) -> None:
         console = Console(as_json)
         config = preset_config(PRESETS, preset)
         if ranks:
-            config = replace(config, most=_ranks(ranks))
+            config = replace(config, most=parse_ranks(ranks))
         if dry_run:
             console.plan(stage.plan(subject, config))
             return
         result = stage.run(subject, config, console, force, tuple(poses or ()))
         following = f"gw export-garment {subject} --layer body --distilled -o body.gwg"
         console.result(result.summary, next_command=following)
-
-
-def _ranks(text: str) -> tuple[int, int, int]:
-    parts = names(text)
-    if len(parts) != 3 or not all(part.isdecimal() and 1 <= int(part) <= 256 for part in parts):
-        raise UsageProblem(
-            f"{text!r} are no numbers of bases.", "option --ranks", "Give three from 1 to 256, as 16,6,4."
-        )
-    offset, color, form = (int(part) for part in parts)
-    return offset, color, form

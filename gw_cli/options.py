@@ -69,3 +69,14 @@ def preset_config(presets: dict[str, Config], name: str) -> Config:
 def names(text: str) -> tuple[str, ...]:
     """The names in a comma-separated list."""
     return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+def parse_ranks(text: str) -> tuple[int, int, int]:
+    """Numbers of bases for offsets, colours and form: "16,6,4"."""
+    parts = names(text)
+    if len(parts) != 3 or not all(part.isdecimal() and 1 <= int(part) <= 256 for part in parts):
+        raise UsageProblem(
+            f"{text!r} are no numbers of bases.", "option --ranks", "Give three from 1 to 256, as 16,6,4."
+        )
+    offset, color, form = (int(part) for part in parts)
+    return offset, color, form

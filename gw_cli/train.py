@@ -9,7 +9,18 @@ from typing import Annotated, Any
 import typer
 
 from gw_cli.console import Console, command
-from gw_cli.options import Device, DryRun, Force, Json, Preset, Seed, Subject, names, preset_config
+from gw_cli.options import (
+    Device,
+    DryRun,
+    Force,
+    Json,
+    Preset,
+    Seed,
+    Subject,
+    names,
+    parse_ranks,
+    preset_config,
+)
 from stages.train.ablation import PARTS
 
 
@@ -50,6 +61,24 @@ def register(app: typer.Typer) -> None:
                 help="Memories of recent motion (fading in 0.1, 0.3, 0.9 … s) that garments see beside the "
                 "pose; 0 for the pose alone. Still poses have no motion.",
             ),
+        ] = None,
+        decoder: Annotated[
+            str,
+            typer.Option(
+                help="styleunet (the published networks, and anchors) | blendshapes (bases per texel, "
+                "driven by the pose: play in real time; without tracking)."
+            ),
+        ] = "styleunet",
+        ranks: Annotated[
+            str, typer.Option(help="Of blendshapes: numbers of bases for offsets, colours and form, 24,8,4.")
+        ] = "",
+        networks: Annotated[
+            str,
+            typer.Option(help="Which layers have networks: all | garments | none; the preset's if left out."),
+        ] = "",
+        network_width: Annotated[
+            float | None,
+            typer.Option(min=0.03125, max=4, help="Multiplier of the networks' widths; 1 is the published."),
         ] = None,
         method: Annotated[
             str,
@@ -107,6 +136,9 @@ def register(app: typer.Typer) -> None:
             config = replace(config, track=replace(config.track, frame_step=track_step))
         if history is not None:
             config = replace(config, model=replace(config.model, history=history))
+        shape: dict[str, Any] = {"decoder": decoder, "networks": networks, "width": network_width}
+        shape["ranks"] = parse_ranks(ranks) if ranks else None
+        config = replace(config, model=replace(config.model, **{k: v for k, v in shape.items() if v}))
         if dry_run:
             console.plan(stage.plan(subject, config, perceptual_weights))
             return

@@ -20,6 +20,7 @@ _SECONDS_PER_PICTURE = 0.02
 _SECONDS_PER_GAUSSIAN = 1.5e-6
 _SECONDS_PER_NETWORK = 0.05
 _SECONDS_PER_WEIGHT_PIXEL = 1.2e-12
+_SECONDS_PER_BASIS_NUMBER = 8e-9  # reckoned: seven passes over memory (there, back, Adam) at 4 GB/s
 _SECONDS_PER_TRACKED_VIEW = 0.15  # a frame in one camera, all rounds
 # Reckoned, not measured: VGG-16 there, back, and once for the truth at 100 GFLOP/s; its activations.
 _SECONDS_PER_PERCEIVED_PIXEL = 1.8e-5
@@ -31,6 +32,8 @@ _FLOAT = 4
 def parameters(maps: dict[str, LayerMaps], config: TrainConfig) -> int:
     """Learned numbers of all layers."""
     base = 14 * sum(len(layer) for layer in maps.values()) if config.model.base else 0
+    if config.model.decoder == "blendshapes":
+        return base + sum(len(layer) for layer in maps.values()) * _basis_numbers(config.model)
     return base + sum(_network_parameters(layer, config.model) for layer in maps.values())
 
 
@@ -39,6 +42,8 @@ def seconds(maps: dict[str, LayerMaps], config: TrainConfig, tracked_views: int 
     gaussians = sum(len(layer) for layer in maps.values())
     pictures = config.views_per_step * (gaussians * _SECONDS_PER_GAUSSIAN_SEEN + _SECONDS_PER_PICTURE)
     networks = gaussians * _SECONDS_PER_GAUSSIAN
+    if config.model.decoder == "blendshapes":
+        networks += gaussians * _basis_numbers(config.model) * _SECONDS_PER_BASIS_NUMBER
     for layer in maps.values():
         grid = network_grid(layer.window, config.model.factor, config.model.depth)
         work = _network_parameters(layer, config.model) * grid.height * grid.width
@@ -89,6 +94,11 @@ def disk_bytes(maps: dict[str, LayerMaps], config: TrainConfig) -> int:
 def _perceived_pixels(config: TrainConfig) -> int:
     """Of one crop that LPIPS sees; 0 without perceptual weights."""
     return config.perceptual_side**2 if config.perceptual_digest else 0
+
+
+def _basis_numbers(model: ModelConfig) -> int:
+    """Learned numbers of a texel's blendshapes."""
+    return sum(width * rank for width, rank in zip((3, 3, 8), model.ranks, strict=True))
 
 
 def _network_parameters(layer: LayerMaps, model: ModelConfig) -> int:

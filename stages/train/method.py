@@ -22,6 +22,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from stages.shared.avatar.config import DECODERS, NETWORKS
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.capture import LAYER_OF_LABEL, LAYERS
 from stages.shared.errors import MissingInput, UsageProblem
@@ -52,7 +53,7 @@ def settled(config: TrainConfig) -> TrainConfig:
     """The configuration as the method and the parts left out change it; doing it twice changes nothing.
 
     Raises:
-        UsageProblem: unknown method or part.
+        UsageProblem: unknown method, decoder or part; a baseline with blendshapes.
     """
     if config.method not in METHODS:
         raise UsageProblem(
@@ -60,6 +61,14 @@ def settled(config: TrainConfig) -> TrainConfig:
             "option --method",
             "Choose of: " + ", ".join(METHODS) + ".",
         )
+    if config.model.decoder not in DECODERS or config.model.networks not in NETWORKS:
+        raise UsageProblem(
+            f"There is no decoder {config.model.decoder!r} with networks {config.model.networks!r}.",
+            "options --decoder and --networks",
+            f"Choose of {', '.join(DECODERS)}; and of {', '.join(NETWORKS)}.",
+        )
+    if config.model.decoder == "blendshapes":
+        config = _with_blendshapes(config)
     weights = config.weights
     if config.method == "animatable-gaussians":
         weights = replace(
@@ -76,6 +85,20 @@ def settled(config: TrainConfig) -> TrainConfig:
     if config.method == "layga":  # clothing has to leave the skin, by centimetres
         weights = replace(weights, offset=_PUBLISHED_OFFSET)
     return ablated(replace(config, weights=weights))
+
+
+def _with_blendshapes(config: TrainConfig) -> TrainConfig:
+    """Without what only networks and anchors have. Attributes per texel are what bases add to."""
+    if config.method != METHODS[0]:
+        raise UsageProblem(
+            f"The baseline {config.method} is made of networks.",
+            "options --method and --decoder",
+            "Leave one of them out.",
+        )
+    model = replace(
+        config.model, networks="none", anchors=0, pose_prior=0, view_conditioning=False, base=True
+    )
+    return replace(config, model=model, track=replace(config.track, frame_step=0))
 
 
 def method_layers(method: str, maps: dict[str, LayerMaps], betas: Tensor) -> MethodLayers:

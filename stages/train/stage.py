@@ -116,7 +116,7 @@ def plan(subject: Path, config: TrainConfig | None = None, perceptual_weights: P
         inputs=[str(source.registered.path), str(source.baked.path), str(source.capture.root), *weights],
         outputs=[f"{workspace.root / TRAIN.name}/<key>/{name}.safetensors" for name in maps],
         config=asdict(config),
-        seconds=cost.seconds(maps, settled(config), _tracked_views(source.take, config)),
+        seconds=cost.seconds(maps, settled(config), _tracked_views(source.take, settled(config))),
         memory_bytes=cost.memory_bytes(maps, settled(config)),
         disk_bytes=cost.disk_bytes(maps, settled(config)),
     )

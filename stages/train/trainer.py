@@ -6,12 +6,13 @@ import math
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from stages.shared.avatar.blendshapes import GROUPS
 from stages.shared.avatar.compose import Composite, compose
 from stages.shared.avatar.decoder import AvatarModel
 from stages.shared.avatar.deform import PosedGaussians, pose_layer, view_cosines
@@ -22,7 +23,7 @@ from stages.shared.errors import BadData
 from stages.shared.losses.crops import face_box, face_centre
 from stages.shared.losses.perceptual import Perceptual
 from stages.train import schedule
-from stages.train.config import LearningRates, LossWeights, TrainConfig
+from stages.train.config import LossWeights, TrainConfig
 from stages.train.data import StepChoice, TrainingViews, choose
 from stages.train.objective import Lens, Surfaces, picture_terms, surface_terms, weighted
 from stages.train.tracking import Tracker, has_anchors
@@ -30,7 +31,6 @@ from stages.train.warm_up import warm_up
 
 _ADAM_EPSILON = 1e-15  # gradients of single Gaussians are tiny; the usual 1e-8 would drown them
 _LATER_KINDS = ("quaternion", "opacity", "scale", "color")  # free attributes that wait for full-size pictures
-_RATES = tuple(field.name for field in fields(LearningRates))
 _EYE_NOISE = 0.1  # m, keeps colours from memorising the training cameras' directions
 _OFFSETS = torch.tensor([1.0] * 3 + [0.0] * 11)
 _LEAVES = ("means", "covariances", "opacities", "features")
@@ -257,24 +257,37 @@ def _named_parameters(models: dict[str, AvatarModel]) -> Iterator[tuple[str, tor
 def _adam(config: TrainConfig, models: dict[str, AvatarModel]) -> torch.optim.Adam:
     """Adam with one group per kind of parameter."""
     groups: dict[str, list[torch.nn.Parameter]] = {}
+    rates = {**asdict(config.rates), **_basis_rates(config)}
     for name, parameter in _named_parameters(models):
-        kind = name.split(".")[1]  # base_<attribute>, anchors, or a part of the networks
+        kind = name.split(".")[1]  # base_<attribute>, basis_<group>, anchors, or a part of the networks
         kind = kind.removeprefix("base_") if kind.startswith("base_") else kind
-        kind = kind if kind in _RATES else "network"
+        kind = kind if kind in rates else "network"
         groups.setdefault(kind, []).append(parameter)
     return torch.optim.Adam(
         [
             {
                 "params": members,
                 "kind": kind,
-                "lr": getattr(config.rates, kind),
-                "start_rate": getattr(config.rates, kind),
+                "lr": rates[kind],
+                "start_rate": rates[kind],
             }
             for kind, members in groups.items()
         ],
         eps=_ADAM_EPSILON,
         fused=True,
     )
+
+
+def _basis_rates(config: TrainConfig) -> dict[str, float]:
+    """Step sizes of blendshapes: K bases of unit coefficients together move as fast as the attribute alone.
+
+    In units of the residual. A group of several attributes takes the slowest one's.
+    """
+    rates, model = config.rates, config.model
+    per_unit = {"offset": rates.offset / model.offset_scale, "color": rates.color}
+    per_unit["form"] = min(rates.quaternion, rates.opacity, rates.scale)
+    ranks = zip(GROUPS, model.ranks, strict=True)
+    return {f"basis_{group}": per_unit[group] / math.sqrt(max(rank, 1)) for group, rank in ranks}
 
 
 def _detached(composite: Composite) -> Composite:

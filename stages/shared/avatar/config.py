@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+DECODERS = ("styleunet", "blendshapes")
+NETWORKS = ("all", "garments", "none")
+
 
 @dataclass(frozen=True)
 class ModelConfig:

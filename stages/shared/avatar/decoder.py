@@ -7,12 +7,11 @@ from typing import Any
 from torch import Tensor
 
 from stages.shared.avatar.blendshapes import BlendshapeModel, BlendshapeSizes
-from stages.shared.avatar.config import ModelConfig
+from stages.shared.avatar.config import DECODERS, ModelConfig
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.avatar.model import LayerModel
 from stages.shared.errors import BadData, UsageProblem
 
-DECODERS = ("styleunet", "blendshapes")
 AvatarModel = LayerModel | BlendshapeModel
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import TypeVar
@@ -27,8 +27,11 @@ def side_by_side(
     items: Sequence[Item],
     work: Callable[[Player, Item], Result],
     threads: int | None = None,
-) -> Iterator[Result]:
+) -> Generator[Result, None, None]:
     """`work(player, item)` of every item, in order; each thread has a player, and its kernels one thread.
+
+    Close the iterator (`contextlib.closing`) where an error may leave it: that waits for items at work, and
+    begins no others.
 
     Arguments:
         threads: frames at a time; None for as many as torch would use threads.
@@ -48,18 +51,22 @@ def side_by_side(
             torch.set_num_threads(1)
         return work(own.player, item)
 
-    with _threads_restored(), ThreadPoolExecutor(count, thread_name_prefix="gw-frame") as pool:
+    with threads_restored(), ThreadPoolExecutor(count, thread_name_prefix="gw-frame") as pool:
         waiting: deque[Future[Result]] = deque()
-        for item in items:
-            waiting.append(pool.submit(task, item))
-            if len(waiting) > count:
+        try:
+            for item in items:
+                waiting.append(pool.submit(task, item))
+                if len(waiting) > count:
+                    yield waiting.popleft().result()
+            while waiting:
                 yield waiting.popleft().result()
-        while waiting:
-            yield waiting.popleft().result()
+        finally:
+            for left in waiting:
+                left.cancel()
 
 
 @contextmanager
-def _threads_restored() -> Iterator[None]:
+def threads_restored() -> Iterator[None]:
     """`torch.set_num_threads` in a thread also sets what threads begun later start with: put that back."""
     threads = torch.get_num_threads()
     try:

@@ -19,12 +19,14 @@ import hashlib
 import json
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from contextlib import closing
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from stages.shared.artifacts.canonical import KEY_LENGTH, canonical_json, digest
@@ -40,6 +42,7 @@ from stages.shared.export.splats import write_splats
 from stages.shared.outfit.outfit import Outfit
 from stages.shared.outfit.penetration import PenetrationConfig
 from stages.shared.outfit.picture import Shot, straight_alpha, take_picture, to_bytes
+from stages.shared.outfit.playback import side_by_side, threads_restored
 from stages.shared.outfit.player import Player
 from stages.shared.pictures.background import WHITE, Background
 from stages.shared.pictures.parts import RECORDS, Share
@@ -86,9 +89,14 @@ class ReelConfig:
 
 @dataclass
 class ReelSummary:
-    """Counts and times of a reel."""
+    """Counts and times of a reel.
+
+    `seconds` are those of every frame, by part; `wall` what posing and rendering took when frames were made
+    side by side (so many frames at a time, each in so many seconds).
+    """
 
     pictures: int = 0
+    wall: float = 0.0
     seconds: dict[str, float] = field(default_factory=dict)
     penetrated: dict[str, int] = field(default_factory=dict)
     video: str | None = None
@@ -96,6 +104,7 @@ class ReelSummary:
     def add(self, other: ReelSummary) -> None:
         """Count the pictures of another one as well."""
         self.pictures += other.pictures
+        self.wall += other.wall
         for mine, theirs in ((self.seconds, other.seconds), (self.penetrated, other.penetrated)):
             for name, number in theirs.items():
                 mine[name] = mine.get(name, 0) + number  # type: ignore[assignment]
@@ -104,14 +113,18 @@ class ReelSummary:
         """Add the time since `started` (perf_counter) to a part of the work."""
         self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - started
 
+    @property
+    def rendering(self) -> float:
+        """Seconds of posing and of pictures, without files."""
+        return self.seconds.get("pose", 0.0) + self.seconds.get("render", 0.0)
+
     def as_dict(self) -> dict[str, Any]:
         """For result.json; penetrated pixels are totals over all pictures."""
-        rendering = self.seconds.get("pose", 0.0) + self.seconds.get("render", 0.0)
         return {
             "pictures": self.pictures,
             "penetrated_pixels": self.penetrated,
             "video": self.video,
-            "frames_per_second": round(self.pictures / rendering, 2) if rendering else None,
+            "frames_per_second": round(self.pictures / self.wall, 2) if self.wall else None,
             "seconds": {name: round(value, 3) for name, value in self.seconds.items()},
         }
 
@@ -146,7 +159,8 @@ def write_frames(
 ) -> int:
     """Render a share of the frames, those that are finished already left out; returns how many were left out.
 
-    A frame is finished when its record is there, which is written last. Memory does not grow with the frames.
+    A frame is finished when its record is there, which is written last. As many frames are made at a time as
+    torch uses threads; memory does not grow with their number. An interrupt lets the frames at work finish.
 
     Arguments:
         folder: a folder for this reel alone (`stages/shared/pictures/parts.py`).
@@ -164,16 +178,17 @@ def write_frames(
         )
     mine = share.of(frames)
     missing = [frame for frame in mine if not _record(folder, frame.row).exists()]
-    player = Player(outfit)
-    for index, frame in enumerate(missing):
+    at_a_time = max(1, min(torch.get_num_threads(), len(missing)))
+
+    def work(player: Player, frame: ReelFrame) -> None:
         counted = _write_frame(folder, player, poses, frame, config)
-        content = {
-            "pictures": counted.pictures,
-            "seconds": counted.seconds,
-            "penetrated": counted.penetrated,
-        }
-        write_whole(_record(folder, frame.row), canonical_json(content))
-        report.progress(index + 1, len(missing))
+        counted.wall = counted.rendering / at_a_time
+        write_whole(_record(folder, frame.row), canonical_json(asdict(counted)))
+
+    with threads_restored(), closing(side_by_side(outfit, missing, work, at_a_time)) as done:
+        torch.set_num_threads(1)  # a frame's rounding must not depend on how many are left to render
+        for index, _ in enumerate(done):
+            report.progress(index + 1, len(missing))
     return len(mine) - len(missing)
 
 
@@ -222,7 +237,7 @@ def _write_frame(
         started = time.perf_counter()
         shot = take_picture(composite, camera, config.penetration, "layers" in config.passes)
         counted.clock("render", started)
-        counted.add(ReelSummary(1, penetrated=shot.counts))
+        counted.add(ReelSummary(pictures=1, penetrated=shot.counts))
         started = time.perf_counter()
         _write_shot(folder, shot, _name(frame.row, camera, config), config.passes)
         counted.clock("write", started)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from stages.shared.splat import cpu
+from stages.shared.splat import cpu_steps
 from stages.shared.splat.kernels import layout
 from stages.shared.splat.kernels.peak import CHAINS, multiply_add_peak
 from stages.shared.splat.kernels.threads import watch
@@ -72,18 +72,18 @@ def _hot_steps(channels: int, lanes: int) -> tuple[float, float]:
 
 def _list_costs(count: int, channels: int, lanes: int) -> tuple[float, float]:
     """Least seconds to blend one tile with a list of `count` Gaussians, forward and backward."""
-    sizes = cpu.Sizes(layout.TILE, layout.TILE, channels, None, 0, False, SplatSettings(), lanes)
+    sizes = cpu_steps.Sizes(layout.TILE, layout.TILE, channels, None, 0, False, SplatSettings(), lanes)
     ones = np.ones(count, np.float32)
     centers, unturned = np.array([0, 0, 2], np.float32), np.array([1, 0, 0, 0], np.float32)
-    gaussians = cpu.Gaussians(
+    gaussians = cpu_steps.Gaussians(
         np.tile(centers, count), np.tile(unturned, count), np.tile(ones, 3), None, 0.008 * ones,
         np.tile(ones, channels),
     )  # fmt: skip
     intrinsics = np.array([[50.0, 0, 8], [0, 50, 8], [0, 0, 1]])
     black = np.zeros(channels, np.float32)
-    view = cpu.arrange(gaussians, cpu.camera_numbers(np.eye(4), intrinsics, sizes), black, sizes)
+    view = cpu_steps.arrange(gaussians, cpu_steps.camera_numbers(np.eye(4), intrinsics, sizes), black, sizes)
     shape = (1, layout.TILE, layout.TILE)
-    pictures = cpu.Pictures(
+    pictures = cpu_steps.Pictures(
         np.ones((*shape, channels), np.float32), np.empty((0, *shape[1:], 0), np.float32),
         np.ones(shape, np.float32), np.ones(shape, np.float32),
     )  # fmt: skip
@@ -93,8 +93,8 @@ def _list_costs(count: int, channels: int, lanes: int) -> tuple[float, float]:
     seconds = []
     for _ in range(200):
         with watch() as phases:
-            cpu.blend_view(view, pictures, None, sizes)
-            cpu.view_backward(gaussians, view, pictures, pictures, grads, False, sizes)
+            cpu_steps.blend_view(view, pictures, None, sizes)
+            cpu_steps.view_backward(gaussians, view, pictures, pictures, grads, False, sizes)
         seconds.append((phases["blend"], phases["blend_backward"]))
     forward, backward = (min(column) for column in zip(*seconds, strict=True))
     return forward, backward

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from stages.shared.splat import cpu
+from stages.shared.splat import cpu_steps
 from stages.shared.splat.api import rasterize
 from stages.shared.splat.benchmark.figure import Figure, make_camera, make_figure
 from stages.shared.splat.benchmark.limit import Limit, flops_per_pair
@@ -117,11 +117,11 @@ def _work(
     pairs cost time; `hot`, the blending steps at their cost in the first-level cache with no lane idle.
     """
     lanes = limit.lanes
-    sizes = cpu.Sizes(case.size, case.size, case.channels, None, 0, False, SplatSettings(), lanes)
+    sizes = cpu_steps.Sizes(case.size, case.size, case.channels, None, 0, False, SplatSettings(), lanes)
     arrays = (figure.means, figure.quats, figure.scales, None, figure.opacities, figure.colors)
-    gaussians = cpu.Gaussians(*(None if x is None else x.reshape(-1).numpy() for x in arrays))  # type: ignore[arg-type]
-    camera = cpu.camera_numbers(view.double().numpy(), intrinsics.double().numpy(), sizes)
-    placed = cpu.arrange(gaussians, camera, np.ones(case.channels, np.float32), sizes)
+    gaussians = cpu_steps.Gaussians(*(None if x is None else x.reshape(-1).numpy() for x in arrays))  # type: ignore[arg-type]
+    camera = cpu_steps.camera_numbers(view.double().numpy(), intrinsics.double().numpy(), sizes)
+    placed = cpu_steps.arrange(gaussians, camera, np.ones(case.channels, np.float32), sizes)
     counts = np.zeros((sizes.tiles, 2), np.int64)
     run_together(
         tally, placed.starts, placed.gaussians, placed.records, sizes.record, sizes.width, sizes.height,
@@ -131,7 +131,7 @@ def _work(
     shape = (1, case.size, case.size)
     features, alpha, depth = (np.empty((*shape, *c), np.float32) for c in ((case.channels,), (), ()))
     nothing = np.empty((0, *shape[1:], 0), np.float32)
-    cpu.blend_view(placed, cpu.Pictures(features, nothing, alpha, depth), None, sizes)
+    cpu_steps.blend_view(placed, cpu_steps.Pictures(features, nothing, alpha, depth), None, sizes)
     backward_steps = int(np.bitwise_count(placed.blocks).sum())
     entries = len(placed.gaussians)
     covered = int((alpha > 0).sum())

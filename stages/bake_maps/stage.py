@@ -119,9 +119,9 @@ def plan(subject: Path, config: BakeMapsConfig = BakeMapsConfig()) -> Plan:
         inputs=[str(canonical.path), str(segmented.path)],
         outputs=[str(workspace.root / BAKE_MAPS.name)],
         config=asdict(config),
-        seconds=5.0 + texels * 1e-4,
-        memory_bytes=500_000_000 + texels * 4000,
-        disk_bytes=texels * 450,
+        seconds=1.0 + texels * 2e-5,
+        memory_bytes=370_000_000 + texels * 4000,
+        disk_bytes=texels * 540,
     )
 
 

@@ -116,9 +116,9 @@ def plan(subject: Path, config: CanonicalizeConfig = CanonicalizeConfig()) -> Pl
         inputs=[str(registered.path)],
         outputs=[str(workspace.root / CANONICALIZE.name)],
         config=asdict(config),
-        seconds=5.0 + nodes * 6e-5,
+        seconds=2.0 + nodes * 1e-5,
         memory_bytes=500_000_000 + nodes * 1500,
-        disk_bytes=15_000_000 + nodes * 80,
+        disk_bytes=5_000_000 + nodes * 76,
     )
 
 

@@ -124,7 +124,7 @@ def plan(
         | {"template": source.template, "frame": source.frame, "body": source.body.source},
         seconds=8.0 + (6e-6 * nodes if hull else 0) + _seconds_of_fit(source, config),
         memory_bytes=700_000_000 + (int(120 * nodes) if hull else 0),
-        disk_bytes=20_000_000,
+        disk_bytes=10_000_000,
     )
 
 

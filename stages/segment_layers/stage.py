@@ -124,9 +124,9 @@ def plan(subject: Path, config: SegmentLayersConfig = SegmentLayersConfig()) -> 
         inputs=inputs,
         outputs=[str(workspace.root / SEGMENT_LAYERS.name)],
         config=asdict(config),
-        seconds=5.0 + vertices * 4e-4,
+        seconds=1.0 + vertices * 7e-5,
         memory_bytes=600_000_000 + vertices * 4000,
-        disk_bytes=20_000_000 + vertices * 400,
+        disk_bytes=3_000_000 + vertices * 370,
     )
 
 

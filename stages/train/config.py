@@ -57,7 +57,8 @@ class TrackConfig:
         cell: texels per cell of the maps that are solved for; anchors may be finer.
         warm_up: steps that first learn the template's own frame. rounds: Gauss-Newton steps per frame.
         bending, stretch, inertia: weights of smoothness (second and first differences) and of staying where
-            the last frame was, against one trusted pixel of one texel.
+            the last frame was, against one trusted pixel of one texel. collision: weight of keeping cloth
+            outside the body it would otherwise be followed into; 0 lets it.
     """
 
     frame_step: int = 0
@@ -67,6 +68,7 @@ class TrackConfig:
     bending: float = 30.0
     stretch: float = 0.5
     inertia: float = 0.3
+    collision: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -80,7 +82,7 @@ class TrainConfig:
         frame_step: learn from every so many-th frame. views_per_step: cameras splatted per network pass.
         image_scale: size of the pictures learned from, 1 is the capture's. coarse_scale, coarse_until:
             smaller pictures up to this share of the run.
-        flow_until: share of the run in which the flow term is on.
+        flow_until: share of the run in which the flow term is on, where garments are not tracked.
         stage_two: share of the run after which penetration, smoothing and the face's LPIPS are on.
         rate_end: learning rates end (cosine) at this share of their start.
         clip: ceiling of the global gradient norm; 0 for none.

@@ -21,9 +21,10 @@ from torch.nn import functional
 from stages.shared.avatar.anchors import AnchorOffsets
 from stages.shared.avatar.compose import Composite, compose
 from stages.shared.avatar.decoder import AvatarModel
-from stages.shared.avatar.deform import blended, pose_layer
+from stages.shared.avatar.deform import PosedGaussians, blended, pose_layer
 from stages.shared.avatar.pose import FramePose
 from stages.train.cells import Cells
+from stages.train.collision import outwards
 from stages.train.config import TrackConfig
 from stages.train.data import TrainingViews, View
 from stages.train.displacement import Equations, grey_picture, motion
@@ -102,7 +103,7 @@ class Tracker:
         fine: bool,
     ) -> dict[str, Floats]:
         """One Gauss-Newton step: change of every layer's cells (M, 3) m."""
-        composite, places = self._composite(pose, found)
+        posed, composite, places = self._composite(pose, found)
         carried = {
             name: blended(layer.model.maps.skin_weights, pose.transforms)[:, :, :3].double().cpu().numpy()
             for name, layer in self.tracked.items()
@@ -128,13 +129,20 @@ class Tracker:
                     seen,
                     _PER_METRE,
                 )
+        if self.config.collision and "body" in posed:
+            for name in self.tracked:
+                matrix, right = outwards(posed[name].means, posed["body"], carried[name], _PER_METRE)
+                equations[name].matrix[:] += self.config.collision * matrix
+                equations[name].right[:] += self.config.collision * right
         return {
             name: self._step(layer.cells, equations[name], found[name], resting[name])
             for name, layer in self.tracked.items()
         }
 
-    def _composite(self, pose: FramePose, found: dict[str, Floats]) -> tuple[Composite, dict[str, slice]]:
-        """All layers in a pose with these offsets, and which Gaussians are whose."""
+    def _composite(
+        self, pose: FramePose, found: dict[str, Floats]
+    ) -> tuple[dict[str, PosedGaussians], Composite, dict[str, slice]]:
+        """All layers in a pose with these offsets, by name and together, and which Gaussians are whose."""
         posed, places, first = {}, {}, 0
         for name, model in self.models.items():
             attributes = model.attributes(model.base_color.new_zeros(len(model.maps), 14))
@@ -144,7 +152,7 @@ class Tracker:
             posed[name] = pose_layer(model.maps, attributes, pose.transforms, pose.betas)
             places[name] = slice(first, first + len(model.maps))
             first += len(model.maps)
-        return compose(posed), places
+        return posed, compose(posed), places
 
     def _step(self, cells: Cells, equations: Equations, found: Floats, resting: Floats) -> Floats:
         """Solve data and smoothness for the change: cells stay near `resting` where nothing was seen."""

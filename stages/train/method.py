@@ -1,4 +1,6 @@
-"""The method of a run, and the baselines in the same framework: same maps, networks, pictures and budget.
+"""The method of a run, and the baselines in the same framework: same maps, pictures and budget.
+
+The baselines always have their networks, also in presets that go without.
 
 - "gaussian-wardrobe": a layer for the body and one for every garment.
 - "animatable-gaussians": the whole clothed person is one layer, its shape is not removed, and no loss knows

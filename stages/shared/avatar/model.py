@@ -1,8 +1,9 @@
-"""The learned part of one layer: free attributes per texel and networks for what depends on the pose.
+"""The learned part of one layer: free attributes per texel, and what depends on the pose.
 
 Every texel has base attributes (what plain splatting would optimise, `TexelAttributes`); StyleUNets read the
-posed positional map and answer a residual of all 14 attribute channels, zero at the start. With `base=False`
-the base attributes are the published constants and nothing but the networks learns.
+posed positional map and answer a residual of all 14 attribute channels, zero at the start. A layer without
+networks (`ModelConfig.networks`) keeps its base attributes; garments move by their anchors' offsets, with or
+without networks. With `base=False` the base attributes are the published constants, and only networks learn.
 """
 
 from __future__ import annotations

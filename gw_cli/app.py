@@ -13,6 +13,8 @@ from typing import Annotated
 
 import typer
 
+from gw_cli.console import CommandTable
+
 # Read when torch loads. Its idle threads would otherwise spin for milliseconds after every operation, on the
 # core that the splatting threads (or another process) could use: measured, that cost up to five times.
 os.environ.setdefault("GOMP_SPINCOUNT", "1000")
@@ -55,6 +57,7 @@ def _show_version(wanted: bool) -> None:
 
 app = typer.Typer(
     name="gw",
+    cls=CommandTable,
     help="Learn a body and its garments from multi-view video; wear them elsewhere.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,

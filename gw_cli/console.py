@@ -1,7 +1,8 @@
 """People or JSON lines, and exit codes: decided here for every command.
 
 People's text goes to stderr. With `--json`, stdout carries one JSON object a line and the last one is
-`{"result": {...}}`. Errors are three lines: what is wrong, where, what to do.
+`{"result": {...}}`. Errors are three lines: what is wrong, where, what to do; also those of a
+command line that cannot be read.
 """
 
 from __future__ import annotations
@@ -14,17 +15,20 @@ import sys
 import tempfile
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
 import typer
+from typer.core import TyperGroup
 
-from stages.shared.errors import GwError, StorageFailure
+from stages.shared.errors import GwError, StorageFailure, UsageProblem
 from stages.shared.plan import Plan
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
+# Typer carries a click of its own in some versions and not in others; this is the class in either case.
+_UsageError: Any = typer.BadParameter.__mro__[1]
 _PROGRESS_SECONDS_TERMINAL = 0.2
 _PROGRESS_SECONDS_PIPE = 30.0
 
@@ -141,10 +145,50 @@ def _readable(value: Any) -> str:
     return str(value)
 
 
-def fail(error: GwError) -> NoReturn:
-    """Print the three lines and leave with the error's exit code."""
+class CommandTable(TyperGroup):
+    """The commands; what cannot be parsed gets three lines like every other error."""
+
+    def main(
+        self,
+        args: Sequence[str] | None = None,
+        prog_name: str | None = None,
+        complete_var: str | None = None,
+        standalone_mode: bool = True,
+        windows_expand_args: bool = True,
+        **extra: Any,
+    ) -> Any:
+        call = functools.partial(
+            super().main, args, prog_name, complete_var, False, windows_expand_args, **extra
+        )
+        if not standalone_mode:
+            return call()
+        try:
+            status = call()
+        except _UsageError as error:
+            status = _say_misuse(error)
+        sys.exit(status if isinstance(status, int) else 0)
+
+
+def _say_misuse(error: Any) -> int:
+    """Print what is wrong with a command line, or the help of a group that was called without a command."""
+    if type(error).__name__ == "NoArgsIsHelpError":
+        sys.stdout.write(error.ctx.get_help() + "\n")
+        return UsageProblem.exit_code
+    name = error.ctx.command_path if error.ctx else "gw"
+    usage = " ".join(error.ctx.get_usage().split()).removeprefix("Usage: ") if error.ctx else name
+    what = " ".join(error.format_message().split())
+    _print_three_lines(UsageProblem(what, name, f"Write: {usage}; {name} --help says more."))
+    return UsageProblem.exit_code
+
+
+def _print_three_lines(error: GwError) -> None:
     sys.stderr.write(f"error: {error.what}\n where: {error.where}\n   fix: {error.fix}\n")
     sys.stderr.flush()
+
+
+def fail(error: GwError) -> NoReturn:
+    """Print the three lines and leave with the error's exit code."""
+    _print_three_lines(error)
     raise typer.Exit(error.exit_code)
 
 

@@ -9,6 +9,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
+from gw_cli.app import app as gw
 from gw_cli.console import Console, command
 from gw_cli.options import preset_config
 from stages.shared.errors import BadData, Locked, MissingInput, StorageFailure, UsageProblem
@@ -52,6 +53,32 @@ def test_an_error_is_three_lines_what_where_fix() -> None:
     lines = outcome.stderr.strip().splitlines()
     assert [line.split(":")[0].strip() for line in lines] == ["error", "where", "fix"]
     assert "no faces" in lines[0] and "scan.ply" in lines[1] and "Export" in lines[2]
+
+
+@pytest.mark.parametrize(
+    ("words", "says", "where"),
+    [
+        ("canonicalize", "Missing argument 'SUBJECT'", "gw canonicalize"),
+        ("tryon a.gwg", "Missing option '--poses'", "gw tryon"),
+        ("trian", "No such command 'trian'", "gw"),
+        ("bench trian", "No such command 'trian'", "gw bench"),
+        ("render a.gwg --camra orbit", "No such option: --camra", "gw render"),
+        ("render a.gwg --fps fast", "Invalid value for '--fps'", "gw render"),
+        ("render a.gwg --width 4", "Invalid value for '--width'", "gw render"),
+        ("status a b", "unexpected extra argument", "gw status"),
+    ],
+)
+def test_a_command_line_that_cannot_be_read_gets_three_lines(words: str, says: str, where: str) -> None:
+    outcome = CliRunner().invoke(gw, words.split(), prog_name="gw")
+    what, place, fix = outcome.stderr.splitlines()
+    assert outcome.exit_code == 2 and outcome.stdout == ""
+    assert what.startswith("error: ") and says in what
+    assert place == f" where: {where}" and f"{where} --help" in fix
+
+
+def test_a_group_without_a_command_shows_its_help() -> None:
+    outcome = CliRunner().invoke(gw, ["bench"], prog_name="gw")
+    assert outcome.exit_code == 2 and "splat" in outcome.output and "error:" not in outcome.output
 
 
 def test_a_bug_leaves_a_report_with_the_traceback() -> None:

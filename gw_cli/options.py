@@ -54,6 +54,13 @@ Penetration = Annotated[
     bool, typer.Option(help="Repair pixels where an inner layer pokes through a garment.")
 ]
 
+Cull = Annotated[
+    bool,
+    typer.Option(
+        help="Leave out body Gaussians that nobody can see beneath garments (films of 300 pictures on)."
+    ),
+]
+
 
 def preset_config(presets: dict[str, Config], name: str) -> Config:
     """The preset called `name`, or a usage error that lists the ones there are."""

@@ -14,6 +14,7 @@ from gw_cli.console import Console, command
 from gw_cli.options import (
     Background,
     Betas,
+    Cull,
     Distilled,
     DryRun,
     FrameRate,
@@ -83,6 +84,7 @@ def register(app: typer.Typer) -> None:
         ground: Annotated[
             bool, typer.Option(help="Keep the feet on the floor when legs are longer or shorter.")
         ] = True,
+        cull: Cull = True,
         preset: Preset = "draft",
         dry_run: DryRun = False,
         as_json: Json = False,
@@ -141,6 +143,7 @@ def register(app: typer.Typer) -> None:
             restore=restore,
             penetration=penetration,
             ground=ground,
+            cull=cull,
         )
         if html is not None and output is None:
             if dry_run:

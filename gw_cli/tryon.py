@@ -13,6 +13,7 @@ from gw_cli.console import Console, command
 from gw_cli.options import (
     Background,
     Betas,
+    Cull,
     DryRun,
     FilmFolder,
     Json,
@@ -86,6 +87,7 @@ def register(app: typer.Typer) -> None:
         ground: Annotated[
             bool, typer.Option(help="Keep the feet on the floor when legs are longer or shorter.")
         ] = True,
+        cull: Cull = True,
         preset: Preset = "draft",
         dry_run: DryRun = False,
         as_json: Json = False,
@@ -128,6 +130,7 @@ def register(app: typer.Typer) -> None:
             restore=restore,
             penetration=penetration,
             ground=ground,
+            cull=cull,
         )
         if dry_run:
             console.plan(stage.plan(bundles, poses, output, config))

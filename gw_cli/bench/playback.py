@@ -21,6 +21,9 @@ def register(bench: typer.Typer) -> None:
         frames: Annotated[int, typer.Option(min=1, help="Frames that are timed.")] = 60,
         camera: Annotated[str, typer.Option(help="static | orbit.")] = "static",
         threads: Annotated[int, typer.Option(min=0, help="Frames at a time; 0: one per core.")] = 0,
+        cull: Annotated[
+            bool, typer.Option(help="Leave out body Gaussians that nobody can see beneath garments.")
+        ] = True,
         as_json: Json = False,
     ) -> None:
         """Measure how fast an outfit plays: from pose to pixels, with the penetration pass.
@@ -32,5 +35,5 @@ def register(bench: typer.Typer) -> None:
         from stages.bench_playback.config import BenchPlaybackConfig
 
         console = Console(as_json)
-        config = BenchPlaybackConfig(frames=frames, size=size, camera=camera, threads=threads)
+        config = BenchPlaybackConfig(frames=frames, size=size, camera=camera, threads=threads, cull=cull)
         console.result(stage.run(bundles, poses, config, console).summary)

@@ -14,6 +14,7 @@ class BenchPlaybackConfig:
         size: pixels, width and height.
         camera: static or orbit.
         plain_frames: frames of the plain way (`Outfit.composite`), for comparison.
+        cull: leave out body Gaussians that nobody can see; found before the clock starts.
         threads: frames at a time; 0 for as many as torch uses threads.
     """
 
@@ -22,3 +23,4 @@ class BenchPlaybackConfig:
     camera: str = "static"
     plain_frames: int = 5
     threads: int = 0
+    cull: bool = True

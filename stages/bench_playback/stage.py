@@ -19,12 +19,14 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from stages.bench_playback.config import BenchPlaybackConfig
 from stages.shared.avatar.compose import Composite
 from stages.shared.body import Poses
 from stages.shared.capture import Camera
 from stages.shared.errors import UsageProblem
+from stages.shared.outfit.hidden import plan_hidden
 from stages.shared.outfit.outfit import Outfit, outfit_of_bundles
 from stages.shared.outfit.penetration import TRYON_MARGINS
 from stages.shared.outfit.picture import Shot, take_picture
@@ -35,6 +37,7 @@ from stages.shared.outfit.viewpoints import viewpoint_cameras
 from stages.shared.poses.read import load_poses
 from stages.shared.report import SILENT, Report
 
+Mask = NDArray[np.bool_] | None
 _WARM_FRAMES = 3  # compilation, first touch of memory
 
 
@@ -66,14 +69,16 @@ def run(
     )
     frames = list(zip(rows, cameras, strict=True))
     report.step(f"playing {' < '.join(outfit.names)}, {outfit.gaussians} Gaussians")
-    split = _split(outfit, poses, frames)
+    hidden = plan_hidden(outfit, poses, rows) if config.cull else None
+    split = _split(outfit, poses, frames, hidden)
     plain = _plain(outfit, poses, frames[: config.plain_frames])
-    rate, threads = _rate(outfit, poses, frames, config.threads or torch.get_num_threads())
+    rate, threads = _rate(outfit, poses, frames, config.threads or torch.get_num_threads(), hidden)
     one = split["pose"] + split["picture"]
     summary = {
         "layers": list(outfit.names),
         "decoders": {layer.name: layer.model.model_config.decoder for layer in outfit.layers},
         "gaussians": outfit.gaussians,
+        "hidden_gaussians": 0 if hidden is None else int(hidden.sum()),
         "size": config.size,
         "frames": len(frames),
         "threads": threads,
@@ -86,9 +91,9 @@ def run(
     return BenchPlaybackResult(summary)
 
 
-def _split(outfit: Outfit, poses: Poses, frames: list[tuple[int, Camera]]) -> dict[str, float]:
+def _split(outfit: Outfit, poses: Poses, frames: list[tuple[int, Camera]], hidden: Mask) -> dict[str, float]:
     """Median milliseconds of posing and of the picture, with and without the penetration pass."""
-    player = Player(outfit)
+    player = Player(outfit, hidden=hidden)
     times: dict[str, list[float]] = {"pose": [], "picture": [], "picture_without_pass": []}
     for index, (row, camera) in enumerate([*frames[:1] * _WARM_FRAMES, *frames]):
         composite, posing = _timed(player.composite, poses, row)
@@ -110,14 +115,16 @@ def _plain(outfit: Outfit, poses: Poses, frames: list[tuple[int, Camera]]) -> fl
     return median(times) if times else None
 
 
-def _rate(outfit: Outfit, poses: Poses, frames: list[tuple[int, Camera]], threads: int) -> tuple[float, int]:
+def _rate(
+    outfit: Outfit, poses: Poses, frames: list[tuple[int, Camera]], threads: int, hidden: Mask
+) -> tuple[float, int]:
     """Frames per second side by side, over the whole wall time after the first frames."""
 
     def work(player: Player, frame: tuple[int, Camera]) -> Composite | Shot:
         return take_picture(player.composite(poses, frame[0]), frame[1], TRYON_MARGINS)
 
     started, ahead = 0.0, 2 * threads  # frames in flight when the clock starts
-    for index, _ in enumerate(side_by_side(outfit, frames[:1] * ahead + frames, work, threads)):
+    for index, _ in enumerate(side_by_side(outfit, frames[:1] * ahead + frames, work, threads, hidden)):
         if index == ahead - 1:
             started = time.perf_counter()
     return len(frames) / (time.perf_counter() - started), threads

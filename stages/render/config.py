@@ -26,6 +26,7 @@ class RenderConfig:
         penetration: repair pixels where an inner layer pokes through a garment.
         ground: fit the way of the hips of a motion from a file to the length of the wearer's legs, so that
             the feet are on the floor; not before the cameras of a capture.
+        cull: in a long film, leave out body Gaussians that nobody can see beneath garments.
         passes: of "labels", "depth", "layers".
         video: "auto" (H.264, or VP9 where there is no encoder or the background is transparent), "h264",
             "vp9" or "none".
@@ -50,6 +51,7 @@ class RenderConfig:
     restore: bool = True
     penetration: bool = True
     ground: bool = True
+    cull: bool = True
     passes: tuple[str, ...] = ()
     video: str = "auto"
     exports: tuple[str, ...] = ()

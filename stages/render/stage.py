@@ -154,4 +154,5 @@ def _reel_config(config: RenderConfig, sources: Sequence[Path], from_capture: bo
         camera_folders=from_capture,
         exports=config.exports,
         pictures=config.pictures,
+        cull=config.cull,
     )

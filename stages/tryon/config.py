@@ -20,6 +20,7 @@ class TryonConfig:
         restore: skin that is bare now, and was covered when it was learned, looks like the skin around.
         penetration: repair pixels where an inner layer pokes through a garment.
         ground: fit the way of the hips to the length of the wearer's legs, so that the feet are on the floor.
+        cull: in a long film, leave out body Gaussians that nobody can see beneath garments.
         passes: of "labels", "depth", "layers".
     """
 
@@ -35,6 +36,7 @@ class TryonConfig:
     restore: bool = True
     penetration: bool = True
     ground: bool = True
+    cull: bool = True
     passes: tuple[str, ...] = ()
 
 

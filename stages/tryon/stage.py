@@ -127,6 +127,7 @@ def _reel_config(config: TryonConfig) -> ReelConfig:
         passes=config.passes,
         penetration=TRYON_MARGINS if config.penetration else None,
         film="tryon",
+        cull=config.cull,
     )
 
 

@@ -18,6 +18,7 @@ from torch import Tensor
 
 from stages.shared.avatar.blendshapes import GROUPS, BlendshapeModel, group_channels
 from stages.shared.avatar.deform import shaped_positions
+from stages.shared.avatar.model import LayerModel
 from stages.shared.avatar.pose import FramePose
 from stages.shared.avatar.posing_kernel import BLOCK, pose_texels
 from stages.shared.avatar.texel_attributes import CHANNELS, MIN_SCALE, TexelAttributes
@@ -62,19 +63,28 @@ class PosedLayer:
     Arguments:
         model: of the layer. betas: (10,) shape of the wearer.
         replacements: swaps beneath garments, applied in this order.
+        kept: (N,) texels that are posed, None for all; buffers then hold these alone, in order.
     """
 
     def __init__(
-        self, model: TexelAttributes, betas: Tensor, replacements: tuple[Replacement, ...] = ()
+        self,
+        model: TexelAttributes,
+        betas: Tensor,
+        replacements: tuple[Replacement, ...] = (),
+        kept: NDArray[np.bool_] | None = None,
     ) -> None:
         config, self.model = model.model_config, model
-        self.bases, self.history = _blocks(model), config.history
-        self.rest = shaped_positions(model.maps, betas).numpy()
+        rows = None if kept is None else torch.from_numpy(np.flatnonzero(kept))
+        self.count = len(model.maps) if rows is None else len(rows)
+        self._rows, self.history = rows, config.history
+        self.bases = _blocks(model, rows)
+        self._residual = _constant_residual(model, rows)
+        self.rest = _chosen(shaped_positions(model.maps, betas), rows).numpy()
         base = torch.cat(
             [getattr(model, f"base_{name}").detach().reshape(len(model.maps), -1) for name in CHANNELS], 1
         )
-        self.base = base.contiguous().numpy()
-        self.first, self.bones, self.weights = _sparse(model.maps.skin_weights.numpy())
+        self.base = _chosen(base, rows).contiguous().numpy()
+        self.first, self.bones, self.weights = _sparse(_chosen(model.maps.skin_weights, rows).numpy())
         self.limits = np.array(
             [
                 config.offset_scale,
@@ -84,7 +94,7 @@ class PosedLayer:
             np.float32,
         )
         self.bounded = config.color == "sigmoid"
-        self.replacements = _stacked(replacements, len(self.rest))
+        self.replacements = _stacked(replacements, len(model.maps), kept)
 
     def pose(self, pose: FramePose, out: PosedBuffers, motion: Tensor | None = None) -> None:
         """Pose the layer.
@@ -94,12 +104,11 @@ class PosedLayer:
             motion: `recent_motion`, None for a still pose or a model without history.
         """
         model = self.model
+        residual, coefficients = self._residual, torch.zeros(0)
         if isinstance(model, BlendshapeModel):
-            residual = model.mean_residual
             coefficients = model.coefficients(pose.local_transforms, motion)
-        else:
-            residual = model.residual(pose.local_transforms, motion=motion)
-            coefficients = residual.new_zeros(0)
+        if residual is None:
+            residual = _chosen(model.residual(pose.local_transforms, motion=motion), self._rows)
         matrices = np.ascontiguousarray(pose.transforms.numpy()[:, :3, :], dtype=np.float32)
         run_together(
             pose_texels, residual.numpy(), coefficients.numpy(), *self.bases, _CHANNELS,
@@ -109,16 +118,29 @@ class PosedLayer:
         )  # fmt: skip
 
 
-def _blocks(model: TexelAttributes) -> tuple[Floats, ...]:
+def _chosen(values: Tensor, rows: Tensor | None) -> Tensor:
+    return values if rows is None else values[rows]
+
+
+def _constant_residual(model: TexelAttributes, rows: Tensor | None) -> Tensor | None:
+    """The residual (N, 14) that no pose changes; None where networks or anchors answer it whole."""
+    if isinstance(model, BlendshapeModel):
+        return _chosen(model.mean_residual, rows)
+    if isinstance(model, LayerModel) and model.anchors is None and not len(model.networks):
+        return torch.zeros(len(model.maps) if rows is None else len(rows), 14)
+    return None
+
+
+def _blocks(model: TexelAttributes, rows: Tensor | None) -> tuple[Floats, ...]:
     """Bases of every group by blocks of texels (⌈N / BLOCK⌉, K, C, BLOCK): read in one run, in order."""
-    blocks = -(-len(model.maps) // BLOCK)
+    blocks = -(-(len(model.maps) if rows is None else len(rows)) // BLOCK)
     found = []
     for group in GROUPS:
         channels = len(group_channels(group))
         if not isinstance(model, BlendshapeModel):
             found.append(np.zeros((blocks, 0, channels, BLOCK), np.float32))
             continue
-        basis = getattr(model, f"basis_{group}").detach().numpy()
+        basis = _chosen(getattr(model, f"basis_{group}").detach(), rows).numpy()
         padded = np.zeros((blocks * BLOCK, *basis.shape[1:]), np.float32)
         padded[: len(basis)] = basis
         by_block = padded.reshape(blocks, BLOCK, *basis.shape[1:])
@@ -138,7 +160,9 @@ def _sparse(weights: Floats) -> tuple[NDArray[np.int32], NDArray[np.int32], Floa
     return first, bones.astype(np.int32), values.astype(np.float32)
 
 
-def _stacked(replacements: tuple[Replacement, ...], count: int) -> tuple[NDArray[Any], ...]:
+def _stacked(
+    replacements: tuple[Replacement, ...], count: int, kept: NDArray[np.bool_] | None
+) -> tuple[NDArray[Any], ...]:
     """Weights (R, N), offsets (R, N, 3), quaternions (R, N, 4), colours (R, N, 3), who has the last two."""
     weights, offsets, quaternions, colors = (
         np.zeros((len(replacements), count, *shape), np.float32) for shape in ((), (3,), (4,), (3,))
@@ -151,4 +175,8 @@ def _stacked(replacements: tuple[Replacement, ...], count: int) -> tuple[NDArray
             colors[row] = replacement.colors
     turns = np.array([r.quaternions is not None for r in replacements], bool)
     paints = np.array([r.colors is not None for r in replacements], bool)
+    if kept is not None:
+        weights, offsets, quaternions, colors = (
+            np.ascontiguousarray(values[:, kept]) for values in (weights, offsets, quaternions, colors)
+        )
     return weights, offsets, quaternions, colors, turns, paints

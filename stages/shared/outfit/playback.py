@@ -13,7 +13,9 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import TypeVar
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from stages.shared.outfit.outfit import Outfit
 from stages.shared.outfit.player import Player
@@ -27,6 +29,7 @@ def side_by_side(
     items: Sequence[Item],
     work: Callable[[Player, Item], Result],
     threads: int | None = None,
+    hidden: NDArray[np.bool_] | None = None,
 ) -> Generator[Result, None, None]:
     """`work(player, item)` of every item, in order; each thread has a player, and its kernels one thread.
 
@@ -35,13 +38,14 @@ def side_by_side(
 
     Arguments:
         threads: frames at a time; None for as many as torch would use threads.
+        hidden: as `Player` takes it.
     """
     count = min(threads or torch.get_num_threads(), max(len(items), 1))
     if count <= 1:
-        player = Player(outfit)
+        player = Player(outfit, hidden=hidden)
         yield from (work(player, item) for item in items)
         return
-    first = Player(outfit)
+    first = Player(outfit, hidden=hidden)
     spare = [first, *(Player(outfit, twin=first) for _ in range(count - 1))]
     own = threading.local()
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from stages.shared.avatar.compose import Composite
 from stages.shared.avatar.motion import recent_motion
@@ -24,12 +25,15 @@ class Player:
     Arguments:
         outfit: what is worn. twin: another player of it, to share what was prepared; buffers are each
             one's own, so that two threads can play two frames.
+        hidden: (N,) texels of the body that are left out (`plan_hidden`); a twin's are its twin's.
     """
 
-    def __init__(self, outfit: Outfit, twin: Player | None = None) -> None:
+    def __init__(
+        self, outfit: Outfit, twin: Player | None = None, hidden: NDArray[np.bool_] | None = None
+    ) -> None:
         self.outfit = outfit
         # Push-out needs normals, and baselines bring labels of their own: these take the plain way.
-        self._plain = bool(outfit.pushes) or any(layer.layer_ids is not None for layer in outfit.layers)
+        self.plain = bool(outfit.pushes) or any(layer.layer_ids is not None for layer in outfit.layers)
         self._bones: tuple[Poses, int, FramePose] | None = None
         betas = torch.from_numpy(outfit.betas)
         changes = _changes(outfit)
@@ -37,11 +41,13 @@ class Player:
             twin._layers
             if twin is not None
             else [
-                PosedLayer(layer.model, betas, changes if layer.name == "body" else ())
+                PosedLayer(layer.model, betas, changes, None if hidden is None else ~hidden)
+                if layer.name == "body"
+                else PosedLayer(layer.model, betas)
                 for layer in outfit.layers
             ]
         )
-        counts = [len(layer.maps) for layer in outfit.layers]
+        counts = [posed.count for posed in self._layers]
         total, names = sum(counts), outfit.names
         means, opacities = np.zeros((total, 3), np.float32), np.zeros(total, np.float32)
         covariances = np.zeros((total, 3, 3), np.float32)
@@ -64,7 +70,7 @@ class Player:
     @torch.no_grad()
     def composite(self, poses: Poses, frame: int) -> Composite:
         """All Gaussians in the pose of a row of `poses`; overwritten by the next call."""
-        if self._plain:
+        if self.plain:
             return self.outfit.composite(poses, frame)
         pose = self._posed_bones(poses, frame)
         histories = {posed.history for posed in self._layers if posed.history}

@@ -39,6 +39,7 @@ from stages.shared.errors import UsageProblem
 from stages.shared.export.cloud import cloud_of
 from stages.shared.export.notes import NOTES_NAME, write_notes
 from stages.shared.export.splats import write_splats
+from stages.shared.outfit.hidden import LEAST_PICTURES, plan_hidden
 from stages.shared.outfit.outfit import Outfit
 from stages.shared.outfit.penetration import PenetrationConfig
 from stages.shared.outfit.picture import Shot, straight_alpha, take_picture, to_bytes
@@ -75,6 +76,8 @@ class ReelConfig:
         camera_folders: one folder per camera, as a capture has them.
         exports: splat formats to write every frame's Gaussians in.
         pictures: whether there are pictures at all, or exports only.
+        cull: leave out body Gaussians that nobody can see (`stages/shared/outfit/hidden.py`) in a film long
+            enough for that to pay; never where the body alone is shown or exported.
     """
 
     background: Background = WHITE
@@ -85,6 +88,7 @@ class ReelConfig:
     camera_folders: bool = False
     exports: tuple[str, ...] = ()
     pictures: bool = True
+    cull: bool = True
 
 
 @dataclass
@@ -185,11 +189,24 @@ def write_frames(
         counted.wall = counted.rendering / at_a_time
         write_whole(_record(folder, frame.row), canonical_json(asdict(counted)))
 
-    with threads_restored(), closing(side_by_side(outfit, missing, work, at_a_time)) as done:
+    with threads_restored():
         torch.set_num_threads(1)  # a frame's rounding must not depend on how many are left to render
-        for index, _ in enumerate(done):
-            report.progress(index + 1, len(missing))
+        hidden = _hidden(outfit, poses, frames, config) if missing else None
+        with closing(side_by_side(outfit, missing, work, at_a_time, hidden)) as done:
+            for index, _ in enumerate(done):
+                report.progress(index + 1, len(missing))
     return len(mine) - len(missing)
+
+
+def _hidden(
+    outfit: Outfit, poses: Poses, frames: Sequence[ReelFrame], config: ReelConfig
+) -> NDArray[np.bool_] | None:
+    """The body's texels that are left out of all frames, whichever of them are this run's."""
+    pictures = sum(len(frame.cameras) for frame in frames)
+    whole = bool(config.exports) or "layers" in config.passes or not config.pictures
+    if not config.cull or whole or pictures < LEAST_PICTURES:
+        return None
+    return plan_hidden(outfit, poses, [frame.row for frame in frames])
 
 
 def close_reel(

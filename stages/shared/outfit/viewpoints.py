@@ -64,17 +64,19 @@ def looking_camera(
     azimuth: float,
     half: tuple[float, float, float],
     size: tuple[int, int],
+    tilt: float = _TILT,
 ) -> Camera:
     """A camera that sees a box of half width, half height and half depth `half` (m) around `target` (3,) m.
 
     Arguments:
         azimuth: radians from +z towards +x: where the camera stands. size: width, height in pixels.
+        tilt: metres above the target (below, if negative) per metre of horizontal distance.
     """
     width, height = size
     focal = 0.5 * max(width, height) / np.tan(_FIELD_OF_VIEW / 2)
     # The near side of the box must fit as well.
     distance = max(half[0] * focal / (width / 2), half[1] * focal / (height / 2)) + half[2]
-    away = np.array([np.sin(azimuth), _TILT, np.cos(azimuth)])
+    away = np.array([np.sin(azimuth), tilt, np.cos(azimuth)])
     centre = np.asarray(target) + distance * away
     forward = (np.asarray(target) - centre) / np.linalg.norm(np.asarray(target) - centre)
     right = np.cross(forward, [0.0, 1.0, 0.0])

@@ -10,6 +10,7 @@ import typer
 SUBCOMMANDS: tuple[str, ...] = (
     "splat",
     "step",
+    "economy",
     "tryon",
     "precision",
     "stability",

@@ -14,6 +14,7 @@ Writes:
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -122,9 +123,14 @@ def plan(subject: Path, config: TrainConfig | None = None, perceptual_weights: P
     )
 
 
-def prepare(subject: Path, config: TrainConfig) -> Trainer:
-    """The trainer with which `run` would begin, without LPIPS; for measuring."""
-    return _trainer(_open(Workspace(subject)), config, _device(config.device), None)
+def prepare(
+    subject: Path, config: TrainConfig, change: Callable[[LayerMaps], LayerMaps] | None = None
+) -> Trainer:
+    """The trainer with which `run` would begin, without LPIPS; for measuring.
+
+    `change` makes other maps of every layer's.
+    """
+    return _trainer(_open(Workspace(subject)), config, _device(config.device), None, change)
 
 
 @dataclass(frozen=True)
@@ -211,11 +217,17 @@ def _tracked_views(take: Take, config: TrainConfig) -> int:
 
 
 def _trainer(
-    source: _Source, config: TrainConfig, device: torch.device, perceptual: Perceptual | None
+    source: _Source,
+    config: TrainConfig,
+    device: torch.device,
+    perceptual: Perceptual | None,
+    change: Callable[[LayerMaps], LayerMaps] | None = None,
 ) -> Trainer:
     body = BodyModel.from_arrays(source.registered.arrays("body.safetensors"))
     poses = load_poses(source.registered.file("smpl_params.npz"), body)
     config, maps = settled(config), source.layers(config.method).maps
+    if change is not None:
+        maps = {name: change(layer) for name, layer in maps.items()}
     if len(poses) <= max(source.take.frames, default=0):
         raise BadData(
             f"There are {len(poses)} poses, but images up to frame {source.take.frames[-1]}.",

@@ -59,12 +59,12 @@ def run(
     try:
         report.step("preparing")
         trainer = prepare(subject, train)
-        return _measure(trainer, config.steps, report)
+        return measure(trainer, config.steps, report)
     finally:
         torch.set_num_threads(before)
 
 
-def _measure(trainer: Trainer, steps: int, report: Report) -> dict[str, Any]:
+def measure(trainer: Trainer, steps: int, report: Report) -> dict[str, Any]:
     first = int(_SHARE_OF_RUN * trainer.config.steps)
     elapsed = _SHARE_OF_RUN * 60.0 * trainer.config.minutes
     report.step("steps")

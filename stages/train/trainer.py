@@ -76,6 +76,8 @@ class Trainer:
         if not any(has_anchors(model) for model in models.values()):  # nothing that could be followed
             config = replace(config, track=replace(config.track, frame_step=0))
         self.config, self.models, self.views, self.device = config, models, views, device
+        # One network pass serves all cameras of a step, unless colours depend on the viewing direction.
+        self.one_pass = not config.model.view_conditioning
         self.perceptual = perceptual.to(device) if perceptual is not None else None
         self.frames = views.frames(config.frame_step)
         self.cameras = views.take.training_cameras
@@ -154,12 +156,9 @@ class Trainer:
     def _gradients(
         self, choice: StepChoice, weights: LossWeights, scale: float, coarse: bool, clock: _Clock
     ) -> dict[str, float]:
-        """Accumulate the gradients of a step; returns its terms.
-
-        One network pass serves all cameras, unless colours depend on the viewing direction.
-        """
+        """Accumulate the gradients of a step; returns its terms."""
         views = list(zip(choice.cameras, choice.backgrounds, strict=True))
-        groups = [[view] for view in views] if self.config.model.view_conditioning else [views]
+        groups = [views] if self.one_pass else [[view] for view in views]
         sums: dict[str, float] = {}
         for group in groups:
             with clock("network"):

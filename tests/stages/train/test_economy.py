@@ -1,0 +1,115 @@
+"""`gw bench economy`: each row leaves out what it says, and nothing else."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from typer.testing import CliRunner
+
+from gw_cli.app import app
+from stages.shared.commands import Outcome
+from stages.shared.errors import MissingInput, UsageProblem
+from stages.train import economy, stage
+from stages.train.economy import ROWS, STEP_ROWS, EconomyConfig, compared, markdown, measure_row, whole_grid
+from tests.stages.train.scene import make_subject, tiny
+
+CONFIG, TRAIN = EconomyConfig(steps=1, frames=2), tiny(steps=4)
+
+
+@pytest.fixture(scope="module")
+def subject(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_subject(tmp_path_factory.mktemp("economy"))
+
+
+@pytest.fixture(scope="module")
+def rows(subject: Path) -> dict[str, dict[str, Any]]:
+    with pytest.raises(MissingInput):
+        measure_row(subject, "frame", TRAIN, CONFIG)
+    stage.run(subject, TRAIN)
+    before = sorted(subject.rglob("*"))
+    found = {name: measure_row(subject, name, TRAIN, CONFIG) for name in ROWS}
+    assert sorted(subject.rglob("*")) == before, "measuring writes nothing"
+    return found
+
+
+def test_rows_leave_out_what_they_say(rows: dict[str, dict[str, Any]]) -> None:
+    all_of_them = rows["step"]
+    assert all(row["seconds"] > 0 for row in rows.values())
+    assert rows["step-whole-grid"]["parameters"] > all_of_them["parameters"]
+    assert rows["step-whole-images"]["pixels"] > all_of_them["pixels"]
+    for name in ("step-pass-per-camera", "step-separate-pictures"):
+        same = {
+            key: value for key, value in rows[name].items() if key in ("parameters", "pixels", "gaussians")
+        }
+        assert same == {key: all_of_them[key] for key in same}
+    assert rows["step-nothing-saved"]["pixels"] == rows["step-whole-images"]["pixels"]
+    for name in ("frame-no-cull", "frame-plain", "frame-nothing-saved"):
+        assert rows[name]["psnr"] == pytest.approx(rows["frame"]["psnr"], abs=0.05), name
+    assert rows["frame-no-cull"]["gaussians"] == all_of_them["gaussians"]
+
+
+def test_a_pass_per_camera_gives_the_same_gradients(subject: Path) -> None:
+    gradients = []
+    for one_pass in (True, False):
+        trainer = stage.prepare(subject, TRAIN)
+        trainer.one_pass = one_pass
+        trainer._update = lambda *rest: None  # type: ignore[method-assign]
+        trainer.step(3, 0.0)
+        gradients.append([p.grad.clone() for p in trainer.parameters.values() if p.grad is not None])
+    for one, other in zip(*gradients, strict=True):
+        assert torch.allclose(one, other, atol=1e-5 * max(1.0, float(one.abs().max())))
+
+
+def test_a_larger_window_holds_the_same_texels(subject: Path) -> None:
+    small, large = stage.prepare(subject, TRAIN), stage.prepare(subject, TRAIN, whole_grid)
+    frame = small.frames[1]
+    with torch.no_grad():
+        for name in small.models:
+            one, other = small.posed(frame)[name], large.posed(frame)[name]
+            assert torch.allclose(one.means, other.means, atol=1e-6), "no network has learned anything yet"
+
+
+def test_command_measures_every_row_in_its_process(
+    rows: dict[str, dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str] = []
+
+    def pretended(*words: str | Path, folder: Path | None = None) -> Outcome:
+        asked.append(str(words[words.index("--row") + 1]))
+        return Outcome(1.0, 10**8, rows[asked[-1]])
+
+    monkeypatch.setattr(economy, "run_command", pretended)
+    out = tmp_path / "economy"
+    done = CliRunner().invoke(app, ["bench", "economy", "SUBJECT", "-o", str(out), "--json"])
+    assert done.exit_code == 0, done.output
+    assert asked == list(ROWS)
+    stored = json.loads((out / "economy.json").read_bytes())
+    assert [row["row"] for row in stored["rows"]] == asked and stored["rows"][0]["slower"] == 1.0
+    table = (out / "economy.md").read_text()
+    assert all(f"{text} |" in table for text in ROWS.values())
+    assert table.count("\n") == len(ROWS) + 2
+
+
+def test_one_row_by_itself_and_what_is_refused(subject: Path) -> None:
+    words = ["bench", "economy", str(subject), "--preset", "tiny", "--steps", "1", "--json"]
+    done = CliRunner().invoke(app, [*words, "--row", "step"])
+    assert json.loads(done.stdout.splitlines()[-1])["result"]["without"] == STEP_ROWS["step"]
+    assert CliRunner().invoke(app, [*words, "--row", "leap"]).exit_code == 2
+    with pytest.raises(UsageProblem):
+        economy.run(subject, subject, "tiny", EconomyConfig(steps=0))
+
+
+def test_differences_are_against_the_first_of_the_part() -> None:
+    rows = [
+        {"row": "step", "without": "a", "seconds": 2.0, "peak_bytes": 1},
+        {"row": "step-x", "without": "b", "seconds": 3.0, "peak_bytes": 1},
+        {"row": "frame", "without": "c", "seconds": 0.1, "peak_bytes": 1, "psnr": 20.0},
+        {"row": "frame-x", "without": "d", "seconds": 0.2, "peak_bytes": 1, "psnr": 20.25},
+    ]
+    told = compared(rows)
+    assert [row["slower"] for row in told] == [1.0, 1.5, 1.0, 2.0]
+    assert told[3]["psnr_difference"] == -0.25 and "20.250 | 0.250" in markdown(told)

@@ -25,6 +25,8 @@ from stages.shared.outfit.rebind import convertible, rebound
 from stages.shared.outfit.restore import Restoration, plan_restoration, restored
 from stages.shared.outfit.swap import Swap, plan_swap, swapped
 
+_MOMENTS = 64
+
 
 @dataclass(frozen=True, eq=False)
 class Outfit:
@@ -84,15 +86,14 @@ class Outfit:
         counts: dict[str, int] = {}
         models = {layer.name: layer.model for layer in self.layers if isinstance(layer.model, LayerModel)}
         models = {name: model for name, model in models.items() if model.prior is not None}
-        for row in rows if models else ():
-            pose = frame_pose(
-                self.body_model,
-                torch.from_numpy(poses.rotations[row]),
-                torch.from_numpy(poses.translation[row]),
-                torch.from_numpy(self.betas),
-            )
-            for name, model in models.items():
-                counts[name] = counts.get(name, 0) + model.projected(pose.local_transforms)
+        asked = list(rows) if models else []
+        for first in range(0, len(asked), _MOMENTS):  # bones of many rows cost little more than those of one
+            some = asked[first : first + _MOMENTS]
+            arrays = (poses.rotations[some], poses.translation[some], self.betas)
+            moments = frame_pose(self.body_model, *(torch.from_numpy(array) for array in arrays))
+            for local in moments.local_transforms:
+                for name, model in models.items():
+                    counts[name] = counts.get(name, 0) + model.projected(local)
         return counts
 
     def composite(self, poses: Poses, frame: int) -> Composite:

@@ -8,9 +8,10 @@ from __future__ import annotations
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from stages.shared.avatar.compose import Composite
-from stages.shared.avatar.motion import recent_motion
+from stages.shared.avatar.motion import recent_motions
 from stages.shared.avatar.pose import FramePose, frame_pose
 from stages.shared.avatar.posing import PosedBuffers, PosedLayer, Replacement
 from stages.shared.body import Poses
@@ -35,6 +36,7 @@ class Player:
         # Push-out needs normals, and baselines bring labels of their own: these take the plain way.
         self.plain = bool(outfit.pushes) or any(layer.layer_ids is not None for layer in outfit.layers)
         self._bones: tuple[Poses, int, FramePose] | None = None
+        self._motions: dict[int, Tensor] = {}  # of the same rows, by number of memories
         betas = torch.from_numpy(outfit.betas)
         changes = _changes(outfit)
         self._layers: list[PosedLayer] = (
@@ -73,20 +75,22 @@ class Player:
         if self.plain:
             return self.outfit.composite(poses, frame)
         pose = self._posed_bones(poses, frame)
-        histories = {posed.history for posed in self._layers if posed.history}
-        motions = {history: recent_motion(poses, frame, history) for history in histories}
         for posed, out in zip(self._layers, self._parts, strict=True):
-            posed.pose(pose, out, motions.get(posed.history))
+            motion = self._motions[posed.history][frame % _MOMENTS] if posed.history else None
+            posed.pose(pose, out, motion)
         return self._composite
 
     def _posed_bones(self, poses: Poses, frame: int) -> FramePose:
-        """The bones of one row, from those of its block of rows."""
+        """The bones of one row, from those of its block of rows; recent motion is found with them."""
         first = frame - frame % _MOMENTS
         if self._bones is None or self._bones[0] is not poses or self._bones[1] != first:
             rows = slice(first, first + _MOMENTS)
             arrays = (poses.rotations[rows], poses.translation[rows], self.outfit.betas)
             moments = frame_pose(self.outfit.body_model, *(torch.from_numpy(array) for array in arrays))
             self._bones = (poses, first, moments)
+            block_rows = range(first, min(first + _MOMENTS, len(poses)))
+            histories = {posed.history for posed in self._layers if posed.history}
+            self._motions = {history: recent_motions(poses, block_rows, history) for history in histories}
         block = self._bones[2]
         return FramePose(block.transforms[frame - first], block.local_transforms[frame - first], block.betas)
 

@@ -8,7 +8,7 @@ import torch
 from stages.shared.avatar.config import ModelConfig
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.avatar.model import LayerModel
-from stages.shared.avatar.motion import RATES, UP, motion_length, recent_motion
+from stages.shared.avatar.motion import RATES, UP, motion_length, recent_motion, recent_motions, time_constant
 from stages.shared.avatar.pose import frame_pose
 from stages.shared.body import Poses, embedded_body
 from tests.shared.avatar.tubes import CENTRE, GRID, PITCH, tube_arrays
@@ -60,3 +60,22 @@ def test_anchors_tell_poses_apart_by_motion() -> None:
     assert offsets[1] > 0.015 and offsets[0] < 0.005 and abs(offsets[2] - offsets[0]) < 0.002
     restored = LayerModel.from_state(model.config, maps, model.state())
     assert torch.equal(restored(pose, motion=motions[1]).offsets, model(pose, motion=motions[1]).offsets)
+
+
+def test_a_block_of_rows_is_its_rows_and_follows_the_recursion() -> None:
+    noise = np.random.default_rng(0)
+    poses = _walk(260, 30, 1.0, 0.3)
+    poses.rotations[:, :22] += noise.normal(0, 0.05, (260, 22, 3)).astype(np.float32)
+    block = recent_motions(poses, range(128, 192), 3)
+    for row in (0, 1, 31, 63):
+        assert torch.allclose(block[row], recent_motion(poses, 128 + row, 3), atol=1e-6)
+    root = torch.from_numpy(poses.translation).double()
+    # m <- m + (1 - e^(-dt/tau)) (rate - m), of the root's speed (turns do not change its length much).
+    held = torch.zeros(3, dtype=torch.float64)
+    for frame in range(1, 192):
+        speed = (root[frame] - root[frame - 1]).norm() * poses.fps
+        for memory in range(3):
+            held[memory] += (1 - np.exp(-1 / (poses.fps * time_constant(memory)))) * (speed - held[memory])
+    found = block[63, UP:].reshape(3, RATES)[:, :3].norm(dim=1).double()
+    assert torch.allclose(found, held, rtol=0.02)
+    assert recent_motions(poses, range(5, 5), 2).shape[0] == 0

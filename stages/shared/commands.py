@@ -28,8 +28,17 @@ class Outcome:
 class CommandFailed(GwError):
     """A command did not end well; its own three lines and its exit code are passed on."""
 
-    def __init__(self, command: str, exit_code: int, message: str) -> None:
-        super().__init__(f"The command `{command}` failed.", message, "Run it by itself to see more.")
+    def __init__(self, command: str, exit_code: int, printed: str) -> None:
+        lines = [line.partition(":") for line in printed.strip().splitlines()[-3:]]
+        if [name.strip() for name, _, _ in lines] == ["error", "where", "fix"]:
+            what, where, fix = (text.strip() for _, _, text in lines)
+        else:  # it was killed, or a library had the last word
+            what, where, fix = (
+                f"it ended with {exit_code}",
+                printed.strip()[-500:] or command,
+                "Run it by itself.",
+            )
+        super().__init__(f"The command `{command}` failed: {what}", where, fix)
         self.exit_code = exit_code
 
 
@@ -51,7 +60,6 @@ def run_command(*arguments: str | Path, folder: Path | None = None) -> Outcome:
         stdout.seek(0)
         stderr.seek(0)
         if process.returncode != 0:
-            message = " / ".join(stderr.read().strip().splitlines()[-3:])
-            raise CommandFailed(shlex.join(["gw", *words]), max(process.returncode, 1), message)
+            raise CommandFailed(shlex.join(["gw", *words]), max(process.returncode, 1), stderr.read())
         result = json.loads(stdout.read().strip().splitlines()[-1]).get("result", {})
     return Outcome(time.monotonic() - started, usage.ru_maxrss * 1024, result)

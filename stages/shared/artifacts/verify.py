@@ -38,7 +38,12 @@ def verify(workspace: Workspace) -> Verification:
         MissingInput: the folder is not there, or is no workspace.
     """
     if not workspace.root.is_dir():
-        raise MissingInput("There is no such folder.", str(workspace.root), "Give the folder of a subject.")
+        is_file = workspace.root.is_file()
+        raise MissingInput(
+            "This file is of no kind that can be verified." if is_file else "There is no such folder.",
+            str(workspace.root),
+            "Give the folder of a subject, or a file .gwg, .ply, .spz or .glb.",
+        )
     folders = workspace.artifacts()
     if not folders and not (workspace.root / "subject.json").exists():
         raise MissingInput(

@@ -66,8 +66,10 @@ class Workspace:
 
         Raises:
             MissingInput: there is none; says which command makes it.
-            BadData: it is damaged, or of a schema that this version does not read.
+            BadData: it is damaged, or of a schema that this version does not read; no folder.
         """
+        if self.root.is_file():
+            raise BadData("This is a file, not a subject.", str(self.root), "Give the folder of a subject.")
         artifact = self.current(spec)
         if artifact is None:
             raise MissingInput(

@@ -10,7 +10,7 @@ import pytest
 from stages.shared.artifacts import Artifact, Workspace
 from stages.shared.artifacts.verify import verify
 from stages.shared.errors import BadData, MissingInput
-from tests.shared.artifacts.conftest import make_first, make_second
+from tests.shared.artifacts.conftest import FIRST, make_first, make_second
 
 
 @pytest.fixture
@@ -100,3 +100,11 @@ def test_what_is_no_subject_is_refused(tmp_path: Path) -> None:
         verify(Workspace(tmp_path / "nowhere"))
     with pytest.raises(MissingInput, match="not a subject"):
         verify(Workspace(tmp_path))
+
+
+def test_a_file_in_the_place_of_a_subject_is_called_a_file(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("hello")
+    with pytest.raises(MissingInput, match="no kind that can be verified"):
+        verify(Workspace(tmp_path / "notes.txt"))
+    with pytest.raises(BadData, match="file, not a subject"):
+        Workspace(tmp_path / "notes.txt").require(FIRST)

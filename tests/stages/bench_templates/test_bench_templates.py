@@ -129,4 +129,11 @@ def test_bars_are_sides_and_nothing_measured_is_neither_met_nor_missed() -> None
 def test_a_command_that_fails_passes_its_message_on(tmp_path: Path) -> None:
     with pytest.raises(CommandFailed, match="canonicalize") as failure:
         run_command("canonicalize", tmp_path / "nobody")
-    assert "register-template" in str(failure.value) and failure.value.exit_code == 66
+    assert failure.value.what.startswith("The command `gw canonicalize") and failure.value.exit_code == 66
+    assert failure.value.where.endswith("nobody")
+    assert failure.value.fix.startswith("Run: gw register-template CAPTURE")
+
+
+def test_a_command_that_dies_without_a_message_is_named() -> None:
+    died = CommandFailed("gw train s", 139, "libnothing: Segmentation fault\n")
+    assert "ended with 139" in died.what and "Segmentation" in died.where and died.exit_code == 139

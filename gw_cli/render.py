@@ -18,11 +18,14 @@ from gw_cli.options import (
     Distilled,
     DryRun,
     FrameRate,
+    Ground,
     Json,
     Passes,
     Penetration,
     Pixels,
     Preset,
+    Push,
+    Restore,
     Rows,
     Swap,
     names,
@@ -76,14 +79,10 @@ def register(app: typer.Typer) -> None:
             str, typer.Option(help="Only the i-th of n parts of the frames, as 2/4; see below.")
         ] = "",
         swap: Swap = True,
-        push: Annotated[bool, typer.Option(help="Let garments give way where the body is larger.")] = False,
-        restore: Annotated[
-            bool, typer.Option(help="Bare skin that was covered when it was learned looks like the rest.")
-        ] = True,
+        push: Push = False,
+        restore: Restore = True,
         penetration: Penetration = True,
-        ground: Annotated[
-            bool, typer.Option(help="Keep the feet on the floor when legs are longer or shorter.")
-        ] = True,
+        ground: Ground = True,
         cull: Cull = True,
         preset: Preset = "draft",
         dry_run: DryRun = False,

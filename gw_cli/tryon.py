@@ -16,11 +16,14 @@ from gw_cli.options import (
     Cull,
     DryRun,
     FilmFolder,
+    Ground,
     Json,
     Passes,
     Penetration,
     Pixels,
     Preset,
+    Push,
+    Restore,
     Rows,
     Swap,
     names,
@@ -79,14 +82,10 @@ def register(app: typer.Typer) -> None:
         background: Background = "white",
         passes: Passes = "",
         swap: Swap = True,
-        restore: Annotated[
-            bool, typer.Option(help="Let skin that clothes used to cover look like the skin around.")
-        ] = True,
-        push: Annotated[bool, typer.Option(help="Let garments give way where the body is larger.")] = False,
+        restore: Restore = True,
+        push: Push = False,
         penetration: Penetration = True,
-        ground: Annotated[
-            bool, typer.Option(help="Keep the feet on the floor when legs are longer or shorter.")
-        ] = True,
+        ground: Ground = True,
         cull: Cull = True,
         preset: Preset = "draft",
         dry_run: DryRun = False,

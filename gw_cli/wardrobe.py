@@ -89,7 +89,9 @@ def _remove(group: typer.Typer) -> None:
     @command
     def remove(
         folder: Folder,
-        name: Annotated[str, typer.Argument(help="Name of a piece, or the start of its digest.")],
+        name: Annotated[
+            str, typer.Argument(metavar="NAME", help="Name of a piece, or the start of its digest.")
+        ],
         as_json: Json = False,
     ) -> None:
         """Take a piece out: its file is deleted."""

@@ -130,7 +130,7 @@ _ECONOMY = LossWeights(
     flow=10.0,
     covered_skin=0.02,
 )
-_TRACKED = TrackConfig(frame_step=1)
+_TRACKED = TrackConfig(frame_step=1, collision=3.0)
 DRAFT = TrainConfig(
     perceptual_side=128,
     weights=_ECONOMY,

@@ -29,6 +29,13 @@ def register(bench: typer.Typer) -> None:
         size: Annotated[
             int, typer.Option(min=16, max=4096, help="Pixels of the pictures that are timed.")
         ] = 512,
+        trained_blendshapes: Annotated[
+            bool,
+            typer.Option(
+                "--trained-blendshapes",
+                help="Also train blendshapes by themselves; they get half of the minutes.",
+            ),
+        ] = False,
         preset: Preset = "draft",
         seed: Seed = 0,
         dry_run: DryRun = False,
@@ -41,12 +48,14 @@ def register(bench: typer.Typer) -> None:
         `--quality 0.3` choose among the points.
         """
         from stages.bench_tradeoff import stage
-        from stages.bench_tradeoff.config import BenchTradeoffConfig
+        from stages.bench_tradeoff.config import TRAINED_BLENDSHAPES, BenchTradeoffConfig
 
         console = Console(as_json)
         config = BenchTradeoffConfig(minutes=minutes, preset=preset, size=size, seed=seed)
         if pitches:
             config = replace(config, pitches=_pitches(pitches))
+        if trained_blendshapes:
+            config = replace(config, decoders=(*config.decoders, TRAINED_BLENDSHAPES))
         if dry_run:
             console.plan(stage.plan(capture, output, config))
             return

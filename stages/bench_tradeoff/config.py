@@ -11,14 +11,17 @@ class Decoder:
 
     Attributes:
         name: in tables. ranks: for offsets, colours and form; None for the networks.
+        trained: blendshapes are trained by themselves instead of distilled from the networks.
     """
 
     name: str
     ranks: tuple[int, int, int] | None
+    trained: bool = False
 
 
 NETWORKS = Decoder("networks", None)
 DECODERS = (NETWORKS, Decoder("blendshapes", (32, 12, 8)), Decoder("few blendshapes", (4, 1, 1)))
+TRAINED_BLENDSHAPES = Decoder("trained blendshapes", (24, 8, 4), trained=True)
 
 
 @dataclass(frozen=True)
@@ -26,7 +29,7 @@ class BenchTradeoffConfig:
     """Which operating points are measured.
 
     Attributes:
-        minutes: of training, over all pitches together.
+        minutes: of training, over all pitches (and decoders that are trained by themselves) together.
         preset: of every stage.
         pitches: millimetres per texel; each is trained once.
         decoders: each is played and scored for every pitch.

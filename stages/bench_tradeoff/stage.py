@@ -17,7 +17,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from stages.bench_tradeoff.config import BenchTradeoffConfig, Decoder
+from stages.bench_tradeoff.config import NETWORKS, BenchTradeoffConfig, Decoder
 from stages.bench_tradeoff.figure import markdown, tradeoff_page, tradeoff_picture
 from stages.bench_tradeoff.front import OperatingPoint, on_front
 from stages.shared.artifacts import write_whole
@@ -65,7 +65,9 @@ def run(
     for pitch in config.pitches:
         report.step(f"training at {pitch:g} mm")
         layers, minutes = _train(subject, pitch, config)
-        for decoder in config.decoders:
+        for decoder in sorted(config.decoders, key=lambda decoder: decoder.trained):
+            if decoder.trained:  # last, because what is distilled is the latest training
+                _train(subject, pitch, config, decoder)
             report.step(f"{decoder.name} at {pitch:g} mm")
             points.append(_measure(subject, output, pitch, decoder, layers, minutes, config))
             report.say(f"{points[-1].frames_per_second:.1f} frames/s, {points[-1].psnr_foreground:.2f} dB")
@@ -120,14 +122,30 @@ def bundles_of(folder: Path, point: OperatingPoint) -> list[Path]:
     return found
 
 
-def _train(subject: Path, pitch: float, config: BenchTradeoffConfig) -> tuple[list[str], float]:
+def _train(
+    subject: Path, pitch: float, config: BenchTradeoffConfig, decoder: Decoder = NETWORKS
+) -> tuple[list[str], float]:
     """Bake and train at a pitch; the layers, and the minutes that training was given."""
     run_command("bake-maps", subject, "--preset", config.preset, "--pitch", f"{pitch:g}")
-    minutes = config.minutes / len(config.pitches)
+    trainings = 1 + sum(decoder.trained for decoder in config.decoders)
+    minutes = config.minutes / (len(config.pitches) * trainings)
+    kind = ["--decoder", "blendshapes", "--ranks", _text(decoder.ranks)] if decoder.trained else []
     trained = run_command(
-        "train", subject, "--preset", config.preset, "--minutes", f"{minutes:g}", "--seed", str(config.seed)
+        "train",
+        subject,
+        "--preset",
+        config.preset,
+        "--minutes",
+        f"{minutes:g}",
+        "--seed",
+        str(config.seed),
+        *kind,
     )
     return list(trained.result["layers"]), minutes
+
+
+def _text(ranks: tuple[int, int, int] | None) -> str:
+    return ",".join(str(rank) for rank in ranks or ())
 
 
 def _measure(
@@ -141,11 +159,10 @@ def _measure(
 ) -> OperatingPoint:
     """Export, play and score one point."""
     name = f"{pitch:g} mm {decoder.name}".replace(" ", "-")
-    folder, distilled = output / "points" / name, decoder.ranks is not None
+    folder, distilled = output / "points" / name, decoder.ranks is not None and not decoder.trained
     folder.mkdir(parents=True, exist_ok=True)
-    if decoder.ranks is not None:
-        ranks = ",".join(str(rank) for rank in decoder.ranks)
-        run_command("distill", subject, "--preset", config.preset, "--ranks", ranks)
+    if distilled:
+        run_command("distill", subject, "--preset", config.preset, "--ranks", _text(decoder.ranks))
     bundles = [folder / f"{layer}.gwg" for layer in layers]
     for layer, bundle in zip(layers, bundles, strict=True):
         flags = ["--distilled"] if distilled else []

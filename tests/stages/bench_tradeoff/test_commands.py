@@ -1,0 +1,56 @@
+"""Which commands the bench runs, in which order, and what becomes of their answers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from stages.bench_tradeoff import stage
+from stages.bench_tradeoff.config import DECODERS, TRAINED_BLENDSHAPES, BenchTradeoffConfig
+from stages.bench_tradeoff.stage import read_points
+from stages.shared.commands import Outcome
+
+SCORES = {"psnr_foreground": 15.0, "ssim_foreground": 0.8, "miou": 0.9, "sharpness": 0.5}
+
+
+@pytest.mark.parametrize("trained", [False, True])
+def test_every_decoder_of_every_pitch_is_measured(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, trained: bool
+) -> None:
+    ran: list[list[str]] = []
+
+    def pretended(*arguments: str | Path, folder: Path | None = None) -> Outcome:
+        words = [str(argument) for argument in arguments]
+        ran.append(words)
+        result: dict[str, Any] = {}
+        if words[0] == "train":
+            result = {"layers": ["body", "upper"]}
+        if words[0] == "export-garment":
+            Path(words[words.index("-o") + 1]).write_bytes(b"1234")
+        if words[0] == "bench":
+            result = {"gaussians": 7, "frames_per_second": 30.0}
+        if words[0] == "evaluate":
+            method = words[words.index("--methods") + 1]
+            result = {split: {method: SCORES} for split in ("novel_view", "novel_pose")}
+        return Outcome(1.0, 100, result)
+
+    monkeypatch.setattr(stage, "run_command", pretended)
+    decoders = (TRAINED_BLENDSHAPES, *DECODERS) if trained else DECODERS
+    config = BenchTradeoffConfig(minutes=8.0, pitches=(10.0, 20.0), decoders=decoders)
+    stage.run(tmp_path / "capture", tmp_path / "out", config)
+    points = read_points(tmp_path / "out")
+    assert len(points) == 2 * len(decoders) and all(point.bundle_bytes == 8 for point in points)
+    trainings = [words for words in ran if words[0] == "train"]
+    assert len(trainings) == (4 if trained else 2)
+    minutes = {words[words.index("--minutes") + 1] for words in trainings}
+    assert minutes == {"2" if trained else "4"}
+    order = [words[0] for words in ran]
+    assert order.count("distill") == 4
+    if trained:
+        assert trainings[1][-4:] == ["--decoder", "blendshapes", "--ranks", "24,8,4"]
+        last = len(order) - 1 - order[::-1].index("train")
+        assert "distill" not in order[last:], "the trained ones are not distilled"
+        assert all("--distilled" not in words for words in ran[last:])
+        assert any(point.name == "20-mm-trained-blendshapes" for point in points)

@@ -19,25 +19,9 @@ from stages.shared.meshes.load import write_ply
 from stages.shared.meshes.mesh import Mesh
 from stages.shared.meshes.remesh import cluster
 from stages.shared.meshes.topology import face_normals
+from tests.listening import Listener
 
 from .scenes import a_pose
-
-
-class Heard:
-    """A report that keeps what was said."""
-
-    def __init__(self) -> None:
-        self.texts: list[str] = []
-
-    def step(self, text: str) -> None: ...
-
-    def progress(self, done: int, total: int, **numbers: float) -> None: ...
-
-    def say(self, text: str) -> None:
-        self.texts.append(text)
-
-    def warn(self, text: str) -> None:
-        self.texts.append(text)
 
 
 @pytest.fixture(scope="module")
@@ -62,11 +46,13 @@ def divided(mesh: Mesh, times: int) -> Mesh:
 
 @pytest.mark.parametrize(("unit", "size"), [("m", 1.0), ("cm", 100.0), ("mm", 1000.0)])
 def test_units_are_found_and_said(person: Mesh, unit: str, size: float) -> None:
-    heard = Heard()
+    heard = Listener()
     given = replace(person, vertices=np.float32(size) * person.vertices)
     cleaned = clean_scan(given, 200_000, "scan", heard)
     assert cleaned.told["unit"] == unit
-    assert any(unit in text.split() or f"in {unit};" in text for text in heard.texts) == (unit != "m")
+    assert any(unit in text.split() or f"in {unit};" in text for text in heard.said + heard.warnings) == (
+        unit != "m"
+    )
     np.testing.assert_allclose(
         np.ptp(cleaned.mesh.vertices, axis=0), np.ptp(person.vertices, axis=0), rtol=1e-4
     )
@@ -79,7 +65,7 @@ def test_a_size_that_nobody_has(person: Mesh) -> None:
 
 def test_a_clean_scan_is_left_as_it_is(person: Mesh) -> None:
     ordinary = weld(person)[0]
-    cleaned = clean_scan(ordinary, 200_000, "scan", Heard())
+    cleaned = clean_scan(ordinary, 200_000, "scan", Listener())
     np.testing.assert_array_equal(cleaned.mesh.vertices, ordinary.vertices)
     np.testing.assert_array_equal(cleaned.mesh.faces, ordinary.faces)
     assert cleaned.told["faces_turned"] == 0 and cleaned.told["simplified"] == "unchanged"
@@ -120,10 +106,10 @@ def test_two_people_are_refused_and_one_with_a_bag_is_not(person: Mesh) -> None:
         np.concatenate([person.vertices, beside]), np.concatenate([person.faces, person.faces + count])
     )
     with pytest.raises(BadData, match="more than one person"):
-        clean_scan(two, 200_000, "scan", Heard())
+        clean_scan(two, 200_000, "scan", Listener())
     small = np.float32(0.2) * person.vertices + np.float32([0.5, 0.4, 0])
     bag = Mesh(np.concatenate([person.vertices, small]), np.concatenate([person.faces, person.faces + count]))
-    assert len(clean_scan(bag, 200_000, "scan", Heard()).mesh.faces) > len(person.faces)
+    assert len(clean_scan(bag, 200_000, "scan", Listener()).mesh.faces) > len(person.faces)
 
 
 @pytest.mark.parametrize(
@@ -140,10 +126,10 @@ def test_many_faces_become_few_in_no_time(person: Mesh, times: int, faces: int) 
 
 
 def test_a_scan_beside_its_poses_is_turned_when_another_axis_is_up(person: Mesh) -> None:
-    heard = Heard()
+    heard = Listener()
     lying = replace(person, vertices=person.vertices[:, [0, 2, 1]] * np.float32([1, -1, 1]))
     upright, up = turned_upright(lying, person.vertices.astype(np.float64), heard)
-    assert up == "+z" and any("+z" in text for text in heard.texts)
+    assert up == "+z" and any("+z" in text for text in heard.said + heard.warnings)
     np.testing.assert_allclose(upright.vertices, person.vertices, atol=1e-5)
     assert turned_upright(person, person.vertices.astype(np.float64), heard)[1] == "+y"
 
@@ -160,9 +146,9 @@ def test_the_command_on_a_scan_with_everything_wrong(person: Mesh, tmp_path: Pat
     faces = np.where(flip[:, None], faces[:, ::-1], faces)
     lying = person.vertices[:, [0, 2, 1]] * np.float32([1, -1, 1])
     write_ply(tmp_path / "scan.ply", Mesh(1000 * lying, faces))
-    heard = Heard()
+    heard = Listener()
     result = run(tmp_path / "scan.ply", tmp_path / "s", PRESETS["tiny"], heard)
-    said = " / ".join(heard.texts)
+    said = " / ".join(heard.said + heard.warnings)
     assert "in mm" in said and "+z is up" in said and "inside out" in said
     told = result.artifact.json("report")["template"]
     assert told["unit"] == "mm" and told["up"] == "+z" and told["faces_turned"] > 5000

@@ -11,25 +11,12 @@ from stages.shared.errors import UsageProblem
 from stages.train import stage
 from stages.train.memory import available_bytes, memory_named, say_if_scarce
 from stages.train.trainer import Trainer
+from tests.listening import Listener
 from tests.stages.train.scene import make_subject, tiny
 
 
-class _Heard:
-    def __init__(self) -> None:
-        self.warnings: list[str] = []
-
-    def step(self, text: str) -> None: ...
-
-    def progress(self, done: int, total: int, **numbers: float) -> None: ...
-
-    def say(self, text: str) -> None: ...
-
-    def warn(self, text: str) -> None:
-        self.warnings.append(text)
-
-
 def test_scarce_memory_is_said_and_enough_is_not(tmp_path: Path) -> None:
-    heard = _Heard()
+    heard = Listener()
     assert say_if_scarce(3_000_000_000, 2_000_000_000, heard)
     assert "3.0 GB" in heard.warnings[0] and "2.0 GB" in heard.warnings[0] and "--preset" in heard.warnings[0]
     assert not say_if_scarce(1, 2, heard) and not say_if_scarce(1, None, heard) and len(heard.warnings) == 1

@@ -14,6 +14,7 @@ from stages.shared.errors import MissingInput
 from stages.shared.losses import perceptual
 from stages.train import schedule, stage, trainer
 from stages.train.config import TrainConfig
+from tests.listening import Listener
 from tests.shared.losses.perceptual_weights import random_weights
 from tests.stages.train.scene import make_subject, tiny
 
@@ -24,22 +25,6 @@ NARROW = (
     ((17, 4, 4), (19, 4, 4), (21, 4, 4)),
     ((24, 4, 4), (26, 4, 4), (28, 4, 4)),
 )
-
-
-class Listener:
-    """Keeps what is said."""
-
-    def __init__(self) -> None:
-        self.said: list[str] = []
-
-    def say(self, text: str) -> None:
-        self.said.append(text)
-
-    def step(self, text: str) -> None: ...
-
-    def progress(self, done: int, total: int, **numbers: float) -> None: ...
-
-    def warn(self, text: str) -> None: ...
 
 
 @pytest.fixture(scope="module")

@@ -24,6 +24,7 @@ from stages.shared.capture import open_capture
 from stages.shared.errors import BadData, MissingInput, UsageProblem
 from stages.train import loop, stage, trainer
 from stages.train.config import LearningRates
+from tests.listening import Listener
 from tests.stages.train.scene import look, make_subject, poses, tiny
 
 
@@ -115,7 +116,7 @@ def test_interrupted_run_resumes_to_the_bit(
 
 def test_nan_is_found_in_its_step_and_skipped(subject: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     _spoil(monkeypatch, {3, 7})
-    heard = _Heard()
+    heard = Listener()
     result = stage.run(subject, tiny(steps=12), heard)
     assert result.summary["skipped"] == 2
     assert [text.split()[1] for text in heard.warnings] == ["3", "7"]
@@ -162,22 +163,6 @@ def test_dry_run_writes_nothing_and_estimates(subject: Path) -> None:
     planned = stage.plan(subject, tiny())
     assert planned.seconds and planned.memory_bytes and planned.disk_bytes
     assert sorted(path.name for path in subject.rglob("*")) == before
-
-
-class _Heard:
-    """A report that remembers warnings."""
-
-    def __init__(self) -> None:
-        self.warnings: list[str] = []
-
-    def step(self, text: str) -> None: ...
-
-    def progress(self, done: int, total: int, **numbers: float) -> None: ...
-
-    def say(self, text: str) -> None: ...
-
-    def warn(self, text: str) -> None:
-        self.warnings.append(text)
 
 
 def _spoil(monkeypatch: pytest.MonkeyPatch, steps: set[int]) -> None:

@@ -15,6 +15,7 @@ from gw_cli.app import app
 from stages.shared.errors import UsageProblem
 from stages.tryon import stage
 from stages.tryon.config import TryonConfig
+from tests.listening import Listener
 
 SMALL = TryonConfig(width=48, height=64)
 
@@ -93,22 +94,10 @@ def test_command_with_its_errors(wardrobe: Path, tmp_path: Path) -> None:
 
 def test_an_interrupted_try_on_goes_on(wardrobe: Path, tmp_path: Path) -> None:
     """Frames that were finished are kept, and the result is the one of a single run."""
-
-    class Stop:
-        def step(self, text: str) -> None: ...
-
-        def say(self, text: str) -> None: ...
-
-        def warn(self, text: str) -> None: ...
-
-        def progress(self, done: int, total: int, **numbers: float) -> None:
-            if done == 2:
-                raise KeyboardInterrupt
-
     bundles, poses = _bundles(wardrobe, "body", "upper"), wardrobe / "motion.npz"
     whole = stage.run(bundles, poses, tmp_path / "whole", SMALL)
     with pytest.raises(KeyboardInterrupt):
-        stage.run(bundles, poses, tmp_path / "out", SMALL, Stop())
+        stage.run(bundles, poses, tmp_path / "out", SMALL, Listener(stop=2))
     assert not (tmp_path / "out").exists()
     result = stage.run(bundles, poses, tmp_path / "out", SMALL)
     # Frames that were at work beside the second were finished too.

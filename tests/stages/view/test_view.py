@@ -25,6 +25,7 @@ from stages.view.config import ViewConfig
 from stages.view.server import Viewer
 from stages.view.show import camera_of
 from tests.browser import browser_page
+from tests.listening import Listener
 from tests.shared.outfit.wardrobe import motion
 
 BAR = 40.0  # dB between the browser's pixels and our own renderer's
@@ -200,22 +201,11 @@ def test_beyond_this_machine_a_token_is_asked_for(wardrobe: Path) -> None:
 def test_what_is_on_the_shelf(dressed_subject: Path, wardrobe: Path, tmp_path: Path) -> None:
     (tmp_path / "broken.gwg").write_bytes((wardrobe / "upper.gwg").read_bytes()[:-1])
     (tmp_path / "body.gwg").write_bytes((wardrobe / "body.gwg").read_bytes())
-    said: list[str] = []
-
-    class Listener:
-        def step(self, text: str) -> None: ...
-
-        def say(self, text: str) -> None: ...
-
-        def progress(self, done: int, total: int, **numbers: float) -> None: ...
-
-        def warn(self, text: str) -> None:
-            said.append(text)
-
-    with stage.open_viewer([], tmp_path, [], FREE, Listener()) as made:
+    heard = Listener()
+    with stage.open_viewer([], tmp_path, [], FREE, heard) as made:
         assert [piece["name"] for piece in made.show.shelf.described()] == ["body"]
         assert made.show.shelf.worn == ("body",)
-    assert len(said) == 1 and "broken.gwg" in said[0]
+    assert len(heard.warnings) == 1 and "broken.gwg" in heard.warnings[0]
     with stage.open_viewer([dressed_subject], config=FREE) as made:
         content = made.show.described("")
         assert content["pieces"] == [] and [m["frames"] for m in content["motions"]] == [5, 1]

@@ -63,6 +63,17 @@ Cull = Annotated[
     ),
 ]
 
+AlphaMin = Annotated[
+    float,
+    typer.Option(
+        min=1e-6, max=0.5, help="A Gaussian counts where its alpha reaches this; larger is faster, coarser."
+    ),
+]
+TransmittanceMin = Annotated[
+    float,
+    typer.Option(min=0, max=0.5, help="A pixel stops when less light than this comes from behind; as above."),
+]
+
 
 def preset_config(presets: dict[str, Config], name: str) -> Config:
     """The preset called `name`, or a usage error that lists the ones there are."""

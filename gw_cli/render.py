@@ -12,6 +12,7 @@ import typer
 
 from gw_cli.console import Console, command
 from gw_cli.options import (
+    AlphaMin,
     Background,
     Betas,
     Cull,
@@ -28,9 +29,11 @@ from gw_cli.options import (
     Restore,
     Rows,
     Swap,
+    TransmittanceMin,
     names,
     preset_config,
 )
+from stages.shared.splat.settings import ALPHA_MIN, TRANSMITTANCE_MIN
 
 
 def register(app: typer.Typer) -> None:
@@ -84,6 +87,8 @@ def register(app: typer.Typer) -> None:
         penetration: Penetration = True,
         ground: Ground = True,
         cull: Cull = True,
+        alpha_min: AlphaMin = ALPHA_MIN,
+        transmittance_min: TransmittanceMin = TRANSMITTANCE_MIN,
         preset: Preset = "draft",
         dry_run: DryRun = False,
         as_json: Json = False,
@@ -143,6 +148,8 @@ def register(app: typer.Typer) -> None:
             penetration=penetration,
             ground=ground,
             cull=cull,
+            alpha_min=alpha_min,
+            transmittance_min=transmittance_min,
         )
         if html is not None and output is None:
             if dry_run:

@@ -23,6 +23,7 @@ from stages.shared.artifacts.canonical import plain, readable_json
 from stages.shared.artifacts.files import write_whole
 from stages.shared.export.splats import check_formats
 from stages.shared.outfit.penetration import TRYON_MARGINS, PenetrationConfig
+from stages.shared.outfit.picture import CutOffs
 from stages.shared.outfit.reel import ReelConfig, check_passes, close_reel, write_frames
 from stages.shared.pictures.background import read_background
 from stages.shared.pictures.folder import check_output
@@ -155,4 +156,5 @@ def _reel_config(config: RenderConfig, sources: Sequence[Path], from_capture: bo
         exports=config.exports,
         pictures=config.pictures,
         cull=config.cull,
+        cutoffs=CutOffs(config.alpha_min, config.transmittance_min),
     )

@@ -21,6 +21,7 @@ from stages.shared.body import Poses
 from stages.shared.outfit.grounding import grounded
 from stages.shared.outfit.outfit import Outfit, outfit_of_bundles
 from stages.shared.outfit.penetration import TRYON_MARGINS
+from stages.shared.outfit.picture import CutOffs
 from stages.shared.outfit.reel import ReelConfig, ReelFrame, check_passes, close_reel, reel_key, write_frames
 from stages.shared.outfit.sources import parse_betas, parse_frames, read_bundles
 from stages.shared.outfit.viewpoints import viewpoint_cameras
@@ -128,6 +129,7 @@ def _reel_config(config: TryonConfig) -> ReelConfig:
         penetration=TRYON_MARGINS if config.penetration else None,
         film="tryon",
         cull=config.cull,
+        cutoffs=CutOffs(config.alpha_min, config.transmittance_min),
     )
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from stages.shared.splat.settings import ALPHA_MIN, TRANSMITTANCE_MIN
+
 
 @dataclass(frozen=True)
 class FilmConfig:
@@ -22,6 +24,7 @@ class FilmConfig:
         ground: fit the way of the hips of a motion from a file to the length of the wearer's legs, so that
             the feet are on the floor; not before the cameras of a capture.
         cull: in a long film, leave out body Gaussians that nobody can see beneath garments.
+        alpha_min, transmittance_min: where splatting stops (`SplatSettings`); larger is faster and coarser.
         passes: of "labels", "depth", "layers".
     """
 
@@ -37,6 +40,8 @@ class FilmConfig:
     penetration: bool = True
     ground: bool = True
     cull: bool = True
+    alpha_min: float = ALPHA_MIN
+    transmittance_min: float = TRANSMITTANCE_MIN
     passes: tuple[str, ...] = ()
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 
 import numpy as np
 import torch
@@ -16,8 +16,20 @@ from stages.shared.outfit.layer import label_of
 from stages.shared.outfit.penetration import PenetrationConfig, repair
 from stages.shared.splat.api import rasterize, rasterize_layers
 from stages.shared.splat.rendering import Rendering
+from stages.shared.splat.settings import ALPHA_MIN, TRANSMITTANCE_MIN
 
 Floats = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class CutOffs:
+    """Where splatting stops (`SplatSettings`); larger is faster and coarser."""
+
+    alpha_min: float = ALPHA_MIN
+    transmittance_min: float = TRANSMITTANCE_MIN
+
+
+FINE = CutOffs()
 _LABEL_ALPHA = 0.5  # thinner than this counts as background, for labels as for silhouettes
 
 
@@ -58,12 +70,17 @@ def take_picture(
     penetration: PenetrationConfig | None = None,
     each_layer: bool = False,
     backend: str = "auto",
+    cutoffs: CutOffs = FINE,
 ) -> Shot:
     """Render a composite through a camera.
 
     Arguments:
         penetration: run the penetration pass with these tolerances; None leaves the splats as they are.
         each_layer: also return every layer alone.
+        cutoffs: of the splatting.
+
+    Raises:
+        UsageProblem: cut-offs that are not possible.
     """
     view = torch.from_numpy(camera.camera_from_world).to(composite.means)
     intrinsics = torch.from_numpy(camera.intrinsics).to(composite.means)
@@ -71,7 +88,9 @@ def take_picture(
     size = (camera.width, camera.height)
     with torch.no_grad():
         if not each_layer and (penetration is None or len(composite.layers) == 1):
-            picture = rasterize(*gaussians, *size, covars=composite.covariances, backend=backend)
+            picture = rasterize(
+                *gaussians, *size, covars=composite.covariances, backend=backend, **asdict(cutoffs)
+            )
             nothing = None if penetration is None else np.zeros(tuple(picture.alpha.shape), bool)
             return _shot(picture, composite.layers, repaired=nothing)
         layered = rasterize_layers(
@@ -82,6 +101,7 @@ def take_picture(
             layers=len(composite.layers),
             alone_channels=3,
             backend=backend,
+            **asdict(cutoffs),
         )
         alone = {}
         if each_layer:

@@ -42,7 +42,7 @@ from stages.shared.export.splats import write_splats
 from stages.shared.outfit.hidden import LEAST_PICTURES, plan_hidden
 from stages.shared.outfit.outfit import Outfit
 from stages.shared.outfit.penetration import PenetrationConfig
-from stages.shared.outfit.picture import Shot, straight_alpha, take_picture, to_bytes
+from stages.shared.outfit.picture import FINE, CutOffs, Shot, straight_alpha, take_picture, to_bytes
 from stages.shared.outfit.playback import side_by_side, threads_restored
 from stages.shared.outfit.player import Player
 from stages.shared.pictures.background import WHITE, Background
@@ -78,6 +78,7 @@ class ReelConfig:
         pictures: whether there are pictures at all, or exports only.
         cull: leave out body Gaussians that nobody can see (`stages/shared/outfit/hidden.py`) in a film long
             enough for that to pay; never where the body alone is shown or exported.
+        cutoffs: of the splatting.
     """
 
     background: Background = WHITE
@@ -89,6 +90,7 @@ class ReelConfig:
     exports: tuple[str, ...] = ()
     pictures: bool = True
     cull: bool = True
+    cutoffs: CutOffs = FINE
 
 
 @dataclass
@@ -252,7 +254,8 @@ def _write_frame(
         counted.clock("export", started)
     for camera in frame.cameras if config.pictures else ():
         started = time.perf_counter()
-        shot = take_picture(composite, camera, config.penetration, "layers" in config.passes)
+        layers = "layers" in config.passes
+        shot = take_picture(composite, camera, config.penetration, layers, cutoffs=config.cutoffs)
         counted.clock("render", started)
         counted.add(ReelSummary(pictures=1, penetrated=shot.counts))
         started = time.perf_counter()

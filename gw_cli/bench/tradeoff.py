@@ -43,7 +43,7 @@ def register(bench: typer.Typer) -> None:
     ) -> None:
         """Measure the trade of speed for accuracy on one capture, and draw its front.
 
-        For every pitch the subject is trained once; its networks, blendshapes distilled from them, and few
+        For every pitch the subject is trained once; it, blendshapes distilled from it, and few
         blendshapes are then played, scored and weighed. `gw tryon --tradeoff FOLDER --fps 25` or
         `--quality 0.3` choose among the points.
         """

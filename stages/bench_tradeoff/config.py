@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Decoder:
-    """How a trained subject is played: its networks, or blendshapes with at most so many bases.
+    """How a trained subject is played: as it was trained, or by blendshapes with at most so many bases.
 
     Attributes:
-        name: in tables. ranks: for offsets, colours and form; None for the networks.
-        trained: blendshapes are trained by themselves instead of distilled from the networks.
+        name: in tables. ranks: for offsets, colours and form; None: as trained.
+        trained: blendshapes are trained by themselves instead of distilled.
     """
 
     name: str
@@ -19,8 +19,8 @@ class Decoder:
     trained: bool = False
 
 
-NETWORKS = Decoder("networks", None)
-DECODERS = (NETWORKS, Decoder("blendshapes", (32, 12, 8)), Decoder("few blendshapes", (4, 1, 1)))
+AS_TRAINED = Decoder("as trained", None)
+DECODERS = (AS_TRAINED, Decoder("blendshapes", (32, 12, 8)), Decoder("few blendshapes", (4, 1, 1)))
 TRAINED_BLENDSHAPES = Decoder("trained blendshapes", (24, 8, 4), trained=True)
 
 

@@ -17,7 +17,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from stages.bench_tradeoff.config import NETWORKS, BenchTradeoffConfig, Decoder
+from stages.bench_tradeoff.config import AS_TRAINED, BenchTradeoffConfig, Decoder
 from stages.bench_tradeoff.figure import markdown, tradeoff_page, tradeoff_picture
 from stages.bench_tradeoff.front import OperatingPoint, on_front
 from stages.shared.artifacts import write_whole
@@ -123,7 +123,7 @@ def bundles_of(folder: Path, point: OperatingPoint) -> list[Path]:
 
 
 def _train(
-    subject: Path, pitch: float, config: BenchTradeoffConfig, decoder: Decoder = NETWORKS
+    subject: Path, pitch: float, config: BenchTradeoffConfig, decoder: Decoder = AS_TRAINED
 ) -> tuple[list[str], float]:
     """Bake and train at a pitch; the layers, and the minutes that training was given."""
     run_command("bake-maps", subject, "--preset", config.preset, "--pitch", f"{pitch:g}")

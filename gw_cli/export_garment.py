@@ -35,7 +35,10 @@ def register(app: typer.Typer) -> None:
             bool, typer.Option(help="With --mesh: in the subject's shape, or of zero shape.")
         ] = True,
         slots: Annotated[
-            str, typer.Option(help="Layers the garment takes up, e.g. lower,upper for a dress.")
+            str,
+            typer.Option(
+                help="Layers the garment takes up, e.g. lower,upper; default: as segment-layers found."
+            ),
         ] = "",
         note: Annotated[str, typer.Option(help="A sentence that goes into the file.")] = "",
         distilled: Distilled = False,

@@ -11,7 +11,7 @@ class ExportGarmentConfig:
 
     Attributes:
         layer: "body", "lower", "upper" or "outer".
-        slots: layers the garment takes up; () for its own. A dress takes ("lower", "upper").
+        slots: layers the garment takes up; () for what segment-layers found: a dress ("lower", "upper").
         distilled: take the blendshapes of `gw distill` instead of the networks.
         note: a sentence for people who get the file.
         beneath: carry the form of the source's body beneath the garment, which other bodies take over.

@@ -20,7 +20,7 @@ import numpy as np
 from stages.export_garment.body_form import covered_skin, form_beneath, mean_attributes
 from stages.export_garment.config import ExportGarmentConfig
 from stages.export_garment.preview import preview_picture
-from stages.pipeline import BAKE_MAPS, DISTILL, REGISTER_TEMPLATE, TRAIN
+from stages.pipeline import BAKE_MAPS, DISTILL, REGISTER_TEMPLATE, SEGMENT_LAYERS, TRAIN
 from stages.shared.artifacts import Artifact, Workspace
 from stages.shared.artifacts.bundle import Bundle, write_bundle
 from stages.shared.artifacts.bundle_precision import PRECISIONS, halved
@@ -81,7 +81,7 @@ def run(
         MissingInput: a stage has not run, or the subject has no such layer. UsageProblem: impossible slots.
         StorageFailure: disk full; nothing half-written is left.
     """
-    config = replace(config, slots=checked_slots(config))
+    config = replace(config, slots=checked_slots(config) if config.slots else own_slots(subject, config))
     source = _open(subject, config.distilled)
     names = _layers(source)
     if config.layer not in names:
@@ -127,6 +127,13 @@ def plan(subject: Path, output: Path, config: ExportGarmentConfig = ExportGarmen
         memory_bytes=400_000_000 + 2000 * texels,
         disk_bytes=500 * texels + (9_000_000 if config.layer == "body" else 1_000_000),
     )
+
+
+def own_slots(subject: Path, config: ExportGarmentConfig) -> tuple[str, ...]:
+    """What `gw segment-layers` found a garment to cover (a dress: lower and upper), else its own layer."""
+    segmented = Workspace(subject).current(SEGMENT_LAYERS)
+    found = segmented.summary.get("slots", {}) if segmented is not None else {}
+    return checked_slots(replace(config, slots=tuple(found.get(config.layer, ()))))
 
 
 def checked_slots(config: ExportGarmentConfig) -> tuple[str, ...]:

@@ -109,6 +109,7 @@ def run(
 def plan(subject: Path, config: TrainConfig | None = None, perceptual_weights: Path | None = None) -> Plan:
     """Inputs, outputs and cost of `run`; reads the maps, writes nothing."""
     config = _with_digest(config or TrainConfig(), perceptual_weights)
+    _device(config.device)
     workspace = Workspace(subject)
     source = _open(workspace)
     maps = source.layers(config.method).maps

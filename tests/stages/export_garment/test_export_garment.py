@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,8 @@ from typer.testing import CliRunner
 from gw_cli.app import app
 from stages.export_garment import stage
 from stages.export_garment.config import ExportGarmentConfig
+from stages.pipeline import SEGMENT_LAYERS
+from stages.shared.artifacts import Workspace
 from stages.shared.artifacts.bundle import read_bundle
 from stages.shared.errors import MissingInput, UsageProblem
 from stages.shared.outfit.layer import layer_of_bundle
@@ -44,6 +47,19 @@ def test_half_precision_halves_the_file(dressed_subject: Path, tmp_path: Path) -
     assert sizes["float16"] < 0.65 * sizes["float32"]
     with pytest.raises(UsageProblem, match="precision"):
         stage.run(dressed_subject, tmp_path / "x.gwg", ExportGarmentConfig(precision="float8"))
+
+
+def test_a_dress_takes_the_slots_that_segmentation_found(dressed_subject: Path, tmp_path: Path) -> None:
+    subject = tmp_path / "subject"
+    shutil.copytree(dressed_subject, subject)
+    workspace = Workspace(subject)
+    with workspace.build(SEGMENT_LAYERS, ExportGarmentConfig(note="a dress"), {}) as build:
+        build.summary(slots={"upper": ["lower", "upper"]})
+    config = ExportGarmentConfig(layer="upper", preview_size=16)
+    assert stage.run(subject, tmp_path / "dress.gwg", config).summary["slots"] == ["lower", "upper"]
+    asked = ExportGarmentConfig(layer="upper", slots=("upper",), preview_size=16)
+    assert stage.run(subject, tmp_path / "shirt.gwg", asked).summary["slots"] == ["upper"]
+    assert stage.own_slots(subject, ExportGarmentConfig(layer="lower")) == ("lower",)
 
 
 def test_a_body_says_what_its_covered_skin_is(wardrobe: Path) -> None:

@@ -12,7 +12,7 @@ import trimesh
 
 from stages.shared.errors import GwError
 from stages.shared.meshes import Mesh, load_mesh, write_ply
-from tests.hostile.test_captures import MUTANTS, mutate
+from tests.hostile.test_capture_mutations import MUTANTS, mutate
 
 
 def originals(folder: Path) -> dict[str, Path]:

@@ -108,7 +108,7 @@ def mutated(trial: Trial, runs: int, seed: int) -> None:
     """Changed, cut and doubled good files."""
     import numpy as np
 
-    from tests.hostile.test_captures import mutate
+    from tests.hostile.test_capture_mutations import mutate
 
     random = np.random.default_rng(seed)
     for _ in range(runs):

@@ -131,9 +131,9 @@ def test_films_use_it_where_it_pays(
     drawn: list[int] = []
     genuine = reel.take_picture
 
-    def counted(composite: object, *rest: object) -> object:
+    def counted(composite: object, *rest: object, **options: object) -> object:
         drawn.append(len(composite.means))  # type: ignore[attr-defined]
-        return genuine(composite, *rest)  # type: ignore[arg-type]
+        return genuine(composite, *rest, **options)  # type: ignore[arg-type]
 
     monkeypatch.setattr(reel, "take_picture", counted)
     frames = [ReelFrame(row, (cameras()[0],)) for row in (0, 4)]

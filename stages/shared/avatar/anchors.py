@@ -43,10 +43,8 @@ class AnchorOffsets(nn.Module):
         """
         # The exact form: the quick one loses near poses in rounding and would take one of them twice.
         distance = torch.cdist(poses, poses, compute_mode="donot_use_mm_for_euclid_dist")
-        chosen = [0]
-        while len(chosen) < len(self.poses):
-            chosen.append(int(distance[:, chosen].min(dim=1).values.argmax()))
-        chosen = list(range(len(poses))) if len(poses) == len(self.poses) else sorted(chosen)
+        every = len(poses) == len(self.poses)
+        chosen = torch.arange(len(poses)) if every else spread_out(distance, len(self.poses))
         self.poses.copy_(poses[chosen])
         between = distance[chosen][:, chosen] + torch.diag(torch.full((len(chosen),), float("inf")))
         nearest = between.min(dim=1).values if len(chosen) > 1 else torch.ones(1)
@@ -74,6 +72,19 @@ class AnchorOffsets(nn.Module):
         count, channels, height, width = self.offsets.shape
         blend = self.weights(pose) @ self.offsets.reshape(count, -1)
         return blend.view(2, channels // 2, height, width)
+
+
+def spread_out(distance: Tensor, count: int) -> Tensor:
+    """(count,) sorted indices of poses far from one another: the first, then always the farthest from all.
+
+    `distance` (T, T): between all of them.
+    """
+    chosen = [0]
+    nearest = distance[0].clone()
+    while len(chosen) < count:
+        chosen.append(int(nearest.argmax()))
+        nearest = torch.minimum(nearest, distance[chosen[-1]])
+    return torch.tensor(sorted(chosen))
 
 
 def sampled_maps(images: Tensor, points: Tensor, view_counts: list[int]) -> Tensor:

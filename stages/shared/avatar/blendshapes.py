@@ -17,9 +17,10 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from stages.shared.avatar.anchors import spread_out
 from stages.shared.avatar.config import ModelConfig
 from stages.shared.avatar.maps import LayerMaps
-from stages.shared.avatar.motion import RATES, UP, motion_length
+from stages.shared.avatar.motion import motion_length, motion_scale
 from stages.shared.avatar.texel_attributes import CHANNELS, TexelAttributes
 from stages.shared.errors import BadData
 
@@ -81,20 +82,6 @@ class PoseCoefficients(nn.Module):
         return (gaussian_kernel(described, self.centres, self.bandwidth) @ self.weights)[0]
 
 
-def fitting_motion_scale(described: Tensor, motions: Tensor) -> Tensor:
-    """(H,) factors by which motion differs between poses as much as their rotations do, memory by memory.
-
-    Arguments:
-        described: (T, 198) rotations. motions: (T, H) of the same moments. Up stays as it is.
-    """
-    scale = torch.ones(motions.shape[1], dtype=motions.dtype)
-    turned = (described - described.mean(dim=0)).square().sum(dim=1).mean().sqrt()
-    memories = motions[:, UP:].reshape(len(motions), -1, RATES)
-    moved = (memories - memories.mean(dim=0)).square().sum(dim=2).mean(dim=0).sqrt()
-    scale[UP:] = (turned / moved.clamp(min=_LEAST_MOTION)).repeat_interleave(RATES)
-    return scale
-
-
 def gaussian_kernel(one: Tensor, other: Tensor, bandwidth: Tensor) -> Tensor:
     """exp(−|a − b|² / 2h²) of rows: (T, F), (M, F) -> (T, M)."""
     # The exact form of the distance: the quick one loses near poses in rounding.
@@ -150,7 +137,8 @@ class BlendshapeModel(TexelAttributes):
         belong to the motion that there is most of.
         """
         described = self.fit_description(poses, motions)
-        chosen = spread_out(described, min(self.sizes.centres, len(described)))
+        distance = torch.cdist(described, described, compute_mode="donot_use_mm_for_euclid_dist")
+        chosen = spread_out(distance, min(self.sizes.centres, len(described)))
         centres = described[chosen]
         bandwidth = neighbour_distance(centres).clamp(min=_LEAST_SPREAD) * 2.0
         kernel = gaussian_kernel(described, centres, bandwidth)
@@ -168,7 +156,9 @@ class BlendshapeModel(TexelAttributes):
         """(T, 198 + H) descriptions of poses, after the scale of motion is set by them."""
         if motions and self.model_config.history:
             turned = torch.stack([pose[:BODY_JOINTS, :3, :3].flatten() for pose in poses])
-            self.coefficients.motion_scale.copy_(fitting_motion_scale(turned, torch.stack(motions)))
+            usual = (turned - turned.mean(dim=0)).square().sum(dim=1).mean().sqrt()
+            scale = motion_scale(torch.stack(motions), usual, _LEAST_MOTION)
+            self.coefficients.motion_scale.copy_(scale)
         still: list[None] = [None] * len(poses)
         pairs = zip(poses, motions or still, strict=True)
         return torch.stack([self.coefficients.describe(pose, motion) for pose, motion in pairs])
@@ -184,17 +174,6 @@ class BlendshapeModel(TexelAttributes):
         values = values.split([getattr(self.sizes, group) for group in GROUPS])
         parts = [getattr(self, f"basis_{group}") @ part for group, part in zip(GROUPS, values, strict=True)]
         return self.mean_residual + torch.cat(parts, dim=1)[:, self.channel_order]
-
-
-def spread_out(described: Tensor, count: int) -> Tensor:
-    """(count,) sorted indices of rows far from one another: the first, then always the farthest from all."""
-    distance = torch.cdist(described, described, compute_mode="donot_use_mm_for_euclid_dist")
-    chosen = [0]
-    nearest = distance[0].clone()
-    while len(chosen) < count:
-        chosen.append(int(nearest.argmax()))
-        nearest = torch.minimum(nearest, distance[chosen[-1]])
-    return torch.tensor(sorted(chosen))
 
 
 def neighbour_distance(described: Tensor) -> Tensor:

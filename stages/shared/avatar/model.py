@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from stages.shared.avatar.anchors import AnchorOffsets, sampled_maps
 from stages.shared.avatar.config import ModelConfig
 from stages.shared.avatar.maps import LayerMaps
-from stages.shared.avatar.motion import RATES, UP, motion_length
+from stages.shared.avatar.motion import motion_length, motion_scale
 from stages.shared.avatar.pose_prior import PosePrior
 from stages.shared.avatar.positional import CosineMaps, PositionalMaps, network_grid
 from stages.shared.avatar.texel_attributes import TexelAttributes
@@ -113,7 +113,7 @@ class LayerModel(TexelAttributes):
         if self.anchors is not None:
             seen = (images - self.input_mean) / self.input_scale
             if self.model_config.history and motions:
-                self.motion_scale.copy_(_motion_scale(torch.stack(motions)))
+                self.motion_scale.copy_(motion_scale(torch.stack(motions), _MOTION_SHARE, _LEAST_MOTION))
             still: list[None] = [None] * len(poses)
             described = [
                 self._description(image[None], pose, motion)
@@ -222,19 +222,6 @@ class LayerModel(TexelAttributes):
             moving = self.motion_scale * 0.0 if motion is None else motion * self.motion_scale
             parts.append(moving)
         return torch.cat(parts)
-
-
-def _motion_scale(motions: Tensor) -> Tensor:
-    """(H,) factors that make every memory's usual difference `_MOTION_SHARE`; up stays as it is.
-
-    Arguments:
-        motions: (T, H) of the training poses.
-    """
-    scale = torch.ones(motions.shape[1])
-    memories = motions[:, UP:].reshape(len(motions), -1, RATES)
-    spread = (memories - memories.mean(dim=0)).square().sum(dim=2).mean(dim=0).sqrt()
-    scale[UP:] = (_MOTION_SHARE / spread.clamp(min=_LEAST_MOTION)).repeat_interleave(RATES)
-    return scale
 
 
 def _sample_points(maps: LayerMaps, grid: Any) -> Tensor:

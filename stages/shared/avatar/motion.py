@@ -69,3 +69,16 @@ def _shares(fps: float, memory: int, count: int) -> Tensor:
     """(count,) how much of the rates before a moment its memory holds, the latest last."""
     fading = math.exp(-1.0 / (fps * time_constant(memory)))
     return (1 - fading) * fading ** torch.arange(count - 1, -1, -1, dtype=torch.float64)
+
+
+def motion_scale(motions: Tensor, usual: Tensor | float, least: float) -> Tensor:
+    """(H,) factors that make every memory's usual difference between moments `usual`; up stays as it is.
+
+    Arguments:
+        motions: (T, H) of the training poses. least: m/s and rad/s; less is noise.
+    """
+    scale = torch.ones(motions.shape[1], dtype=motions.dtype)
+    memories = motions[:, UP:].reshape(len(motions), -1, RATES)
+    spread = (memories - memories.mean(dim=0)).square().sum(dim=2).mean(dim=0).sqrt()
+    scale[UP:] = (usual / spread.clamp(min=least)).repeat_interleave(RATES)
+    return scale

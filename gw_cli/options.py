@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, TypeVar
 
@@ -32,6 +34,11 @@ Seed = Annotated[int, typer.Option(help="Seed of everything random.")]
 Device = Annotated[str, typer.Option(help="auto | cpu | cuda.", autocompletion=completion.devices)]
 Force = Annotated[bool, typer.Option("--force", help="Do it again though it is up to date.")]
 
+
+# What commands share whose work is frame by frame.
+Shard = Annotated[
+    str, typer.Option(metavar="I/N", help="Only the i-th of n parts of the frames, as 2/4; see below.")
+]
 
 # What `gw tryon` and `gw render` share.
 FilmFolder = Annotated[Path, typer.Option("-o", "--output", help="Folder of film and frames.")]
@@ -100,3 +107,16 @@ def parse_ranks(text: str) -> tuple[int, int, int]:
         )
     offset, color, form = (int(part) for part in parts)
     return offset, color, form
+
+
+def without_shard(words: Sequence[str]) -> str:
+    """The command line that puts the parts together: `sys.argv` as it is, but for --shard."""
+    kept, skip = ["gw"], False
+    for word in words[1:]:
+        if skip or word.startswith("--shard="):
+            skip = False
+        elif word == "--shard":
+            skip = True
+        else:
+            kept.append(word)
+    return shlex.join(kept)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -28,11 +27,14 @@ from gw_cli.options import (
     Push,
     Restore,
     Rows,
+    Shard,
     Swap,
     TransmittanceMin,
     names,
     preset_config,
+    without_shard,
 )
+from stages.shared.errors import UsageProblem
 from stages.shared.splat.settings import ALPHA_MIN, TRANSMITTANCE_MIN
 
 
@@ -78,9 +80,7 @@ def register(app: typer.Typer) -> None:
         video: Annotated[str, typer.Option(help="auto | h264 | vp9 | none.")] = "auto",
         export: Annotated[str, typer.Option(help="Also write every frame's Gaussians: ply,spz,glb.")] = "",
         pictures: Annotated[bool, typer.Option(help="Write pictures and film, or exports only.")] = True,
-        shard: Annotated[
-            str, typer.Option(help="Only the i-th of n parts of the frames, as 2/4; see below.")
-        ] = "",
+        shard: Shard = "",
         swap: Swap = True,
         push: Push = False,
         restore: Restore = True,
@@ -152,6 +152,10 @@ def register(app: typer.Typer) -> None:
             transmittance_min=transmittance_min,
         )
         if html is not None and output is None:
+            if shard:
+                raise UsageProblem(
+                    "One page has no parts.", "options --html, --shard", "Leave out --shard, or give -o too."
+                )
             if dry_run:
                 console.plan(page.plan(sources, poses, cameras, html, config))
                 return
@@ -162,22 +166,9 @@ def register(app: typer.Typer) -> None:
             console.plan(stage.plan(sources, poses, cameras, target, config))
             return
         result = stage.run(sources, poses, cameras, target, config, console)
-        if html is not None:
+        if html is not None and result.complete:
             page.run(sources, poses, cameras, html, config, console)
         following = f"gw evaluate --frames {result.path} --truth {cameras}" if cameras else None
         if not result.complete:
-            following = f"{_without_shard(sys.argv)}   (when all parts are done)"
+            following = f"{without_shard(sys.argv)}   (when all parts are done)"
         console.result({"path": result.path, **result.summary}, next_command=following)
-
-
-def _without_shard(words: list[str]) -> str:
-    """The command line that puts the parts together."""
-    kept, skip = ["gw"], False
-    for word in words[1:]:
-        if skip or word.startswith("--shard="):
-            skip = False
-        elif word == "--shard":
-            skip = True
-        else:
-            kept.append(word)
-    return shlex.join(kept)

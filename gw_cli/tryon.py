@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -26,10 +27,12 @@ from gw_cli.options import (
     Push,
     Restore,
     Rows,
+    Shard,
     Swap,
     TransmittanceMin,
     names,
     preset_config,
+    without_shard,
 )
 from stages.shared.errors import UsageProblem
 from stages.shared.splat.settings import ALPHA_MIN, TRANSMITTANCE_MIN
@@ -84,6 +87,7 @@ def register(app: typer.Typer) -> None:
         height: Pixels = None,
         background: Background = "white",
         passes: Passes = "",
+        shard: Shard = "",
         swap: Swap = True,
         restore: Restore = True,
         push: Push = False,
@@ -106,6 +110,9 @@ def register(app: typer.Typer) -> None:
         With `--tradeoff FOLDER` no bundles are named: `--fps 25` wears the best-looking operating point that
         was measured to play at that rate, `--quality 0.3` the fastest at most 0.3 dB below the best one.
         What that gave up is said, and is in the result.
+
+        A run that was killed goes on where it was. On many machines: the same command with --shard 1/4 to
+        --shard 4/4 into the same -o, and then once without --shard, which puts the parts together.
         """
         from stages.tryon import stage
         from stages.tryon.config import PRESETS
@@ -129,6 +136,7 @@ def register(app: typer.Typer) -> None:
             height=height or base.height,
             background=background,
             passes=names(passes),
+            shard=shard,
             swap=swap,
             push=push,
             restore=restore,
@@ -145,10 +153,10 @@ def register(app: typer.Typer) -> None:
             _save(save_outfit, bundles, betas)
         result = stage.run(bundles, poses, output, config, console)
         worn = " ".join(str(bundle) for bundle in bundles)
-        console.result(
-            {"path": result.path, **chosen, **result.summary},
-            next_command=f"gw render {worn} --poses {poses} --camera orbit -o render",
-        )
+        following = f"gw render {worn} --poses {poses} --camera orbit -o render"
+        if not result.complete:
+            following = f"{without_shard(sys.argv)}   (when all parts are done)"
+        console.result({"path": result.path, **chosen, **result.summary}, next_command=following)
 
 
 def _only(tradeoff: Path | None, bundles: list[Path] | None, wardrobe: Path | None, outfit: str) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from stages.shared.outfit.film import FILM_SIZES, FilmConfig
 
@@ -21,7 +21,6 @@ class RenderConfig(FilmConfig):
             "vp9" or "none".
         exports: of "ply", "spz", "glb": the Gaussians of every frame.
         pictures: whether there are pictures, or exports only.
-        shard: "i/n", the part of the frames that this run makes; "" for all.
     """
 
     camera: str = ""
@@ -32,7 +31,6 @@ class RenderConfig(FilmConfig):
     video: str = "auto"
     exports: tuple[str, ...] = ()
     pictures: bool = True
-    shard: str = field(default="", metadata={"affects_result": False})
 
 
 PRESETS: dict[str, RenderConfig] = {

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from stages.shared.artifacts.bundle import Bundle
-from stages.shared.artifacts.canonical import readable_json
+from stages.shared.artifacts.canonical import plain, readable_json
 from stages.shared.artifacts.files import write_whole
 from stages.shared.body import Poses
 from stages.shared.outfit.grounding import grounded
@@ -27,7 +27,7 @@ from stages.shared.outfit.sources import parse_betas, parse_frames, read_bundles
 from stages.shared.outfit.viewpoints import viewpoint_cameras
 from stages.shared.pictures.background import read_background
 from stages.shared.pictures.folder import check_output
-from stages.shared.pictures.parts import Share, finish, part_folder
+from stages.shared.pictures.parts import finish, parse_share, part_folder
 from stages.shared.plan import Plan
 from stages.shared.poses.read import load_poses
 from stages.shared.report import SILENT, Report
@@ -39,10 +39,11 @@ RESULT_NAME = "result.json"
 
 @dataclass(frozen=True)
 class TryonResult:
-    """The folder, and what happened."""
+    """The folder, and what happened. complete: the folder has its name; false after a shard."""
 
     path: Path
     summary: dict[str, Any]
+    complete: bool = True
 
 
 def run(
@@ -59,7 +60,7 @@ def run(
         MissingInput, BadData: bundles and poses. StorageFailure: disk full; the same command goes on later.
         Locked: another process makes the same.
     """
-    reel = _reel_config(config)
+    reel, share = _reel_config(config), parse_share(config.shard)
     check_output(output, RESULT_NAME, MARK)
     report.step("reading the bundles")
     named = read_bundles(bundles)
@@ -69,8 +70,11 @@ def run(
     report.say(f"{' < '.join(outfit.names)}: {outfit.gaussians} Gaussians, {len(frames)} frames")
     report.step("rendering")
     digests = {bundle.layer: bundle.digest for _, bundle in named}
-    with part_folder(output, reel_key(outfit, digests, poses, frames, config), Share()) as folder:
-        kept = write_frames(folder, outfit, poses, frames, reel, report)
+    with part_folder(output, reel_key(outfit, digests, poses, frames, config), share) as folder:
+        kept = write_frames(folder, outfit, poses, frames, reel, report, share)
+        if not share.whole:
+            mine = len(share.of(frames))
+            return TryonResult(output, {"shard": config.shard, "frames": mine, "kept": kept}, False)
         reel_summary = close_reel(folder, outfit, poses, frames, reel)
         summary = {
             "layers": list(outfit.names),
@@ -83,7 +87,7 @@ def run(
             "kept_frames": kept,
             **reel_summary.as_dict(),
         }
-        shown = {"fps": poses.fps, "frames": [frame.row for frame in frames], "config": asdict(config)}
+        shown = {"fps": poses.fps, "frames": [frame.row for frame in frames], "config": plain(config)}
         content = {"format": MARK, "version": 1, **shown, **summary}
         write_whole(folder / RESULT_NAME, readable_json(content))
         finish(folder, output, [] if reel_summary.video is None else [folder / reel_summary.video])
@@ -95,9 +99,10 @@ def plan(
 ) -> Plan:
     """What `run` would read, write and cost."""
     _reel_config(config)
+    share = parse_share(config.shard)
     outfit = dressed(read_bundles(bundles), config)
     poses = _motion(poses_path, outfit, config)
-    count = len(parse_frames(config.frames, len(poses)))
+    count = len(share.of(parse_frames(config.frames, len(poses))))
     pixels = config.width * config.height
     return Plan(
         inputs=[*map(str, bundles), str(poses_path)],

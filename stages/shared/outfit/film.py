@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from stages.shared.splat.settings import ALPHA_MIN, TRANSMITTANCE_MIN
 
@@ -26,6 +26,7 @@ class FilmConfig:
         cull: in a long film, leave out body Gaussians that nobody can see beneath garments.
         alpha_min, transmittance_min: where splatting stops (`SplatSettings`); larger is faster and coarser.
         passes: of "labels", "depth", "layers".
+        shard: "i/n", the part of the frames that this run makes; "" for all.
     """
 
     betas: str = ""
@@ -43,6 +44,7 @@ class FilmConfig:
     alpha_min: float = ALPHA_MIN
     transmittance_min: float = TRANSMITTANCE_MIN
     passes: tuple[str, ...] = ()
+    shard: str = field(default="", metadata={"affects_result": False})
 
 
 # Width and height of each preset.

@@ -174,13 +174,25 @@ def run(subject: Path, capture: Path, config: Config = Config(), force: bool = F
     return prepared.digest, learnt.digest, steps
 
 
-def hold(subject: Path, capture: Path, seconds: float) -> None:
-    """Be the writer for a while."""
+def wait_for(path: Path, seconds: float) -> None:
+    """Wait until a file is there, at most so long."""
+    end = time.monotonic() + seconds
+    while not path.exists() and time.monotonic() < end:
+        time.sleep(0.001)
+
+
+def hold(subject: Path, seconds: float, gate: Path | None) -> None:
+    """Be the writer for a while; with a gate from when the file `begin` is in it until `end` is."""
+    if gate is not None:
+        wait_for(gate / "begin", seconds)
     workspace = Workspace(subject)
     with workspace.build(PREPARE, Config(), {}) as build:
         sys.stdout.write("holding\n")
         sys.stdout.flush()
-        time.sleep(seconds)
+        if gate is not None:
+            wait_for(gate / "end", seconds)
+        else:
+            time.sleep(seconds)
         build.write_arrays("template", {"vertices": np.zeros((3, 3))})
 
 
@@ -192,6 +204,7 @@ def main() -> int:
     parser.add_argument("--moment", default="before", choices=["before", "inside", "after"])
     parser.add_argument("--force", action="store_true")
     parser.add_argument("--hold", type=float, default=0)
+    parser.add_argument("--gate", type=Path)
     options = parser.parse_args()
     layer = (
         contextlib.nullcontext()
@@ -203,7 +216,7 @@ def main() -> int:
     try:
         with layer:
             if options.hold:
-                hold(options.subject, options.capture, options.hold)
+                hold(options.subject, options.hold, options.gate)
             else:
                 run(options.subject, options.capture, force=options.force)
     except GwError as error:

@@ -19,24 +19,27 @@ from tests.crash.fake_stage import PREPARE, Config, run
 from tests.crash.test_kill import REPOSITORY, Undisturbed
 
 
-def hold(subject: Path, capture: Path, seconds: float) -> subprocess.Popen[str]:
-    command = [
-        sys.executable,
-        "-m",
-        "tests.crash.fake_stage",
-        str(subject),
-        str(capture),
-        "--hold",
-        str(seconds),
-    ]
+def hold(subject: Path, capture: Path, seconds: float, *options: str) -> subprocess.Popen[str]:
+    words = [str(subject), str(capture), "--hold", str(seconds), *options]
+    command = [sys.executable, "-m", "tests.crash.fake_stage", *words]
     return subprocess.Popen(
         command, cwd=REPOSITORY, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
 
 
 def races(capture: Path, subject: Path, rounds: int) -> None:
-    for _ in range(rounds):
-        racers = [hold(subject, capture, 0.4) for _ in range(2)]
+    """Two processes that are let go at the same moment; the winner stays until the other has been told."""
+    for turn in range(rounds):
+        gate = subject.parent / f"gate{turn}"
+        gate.mkdir()
+        racers = [hold(subject, capture, 60, "--gate", str(gate)) for _ in range(2)]
+        for racer in racers:
+            assert racer.stdout is not None and racer.stdout.readline() == "ready\n"
+        (gate / "begin").touch()
+        end = time.monotonic() + 30
+        while all(racer.poll() is None for racer in racers) and time.monotonic() < end:
+            time.sleep(0.005)
+        (gate / "end").touch()
         outcomes = [racer.communicate(timeout=30) for racer in racers]
         codes = sorted(racer.returncode for racer in racers)
         assert codes == [0, 75], outcomes

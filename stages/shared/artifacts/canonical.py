@@ -21,7 +21,8 @@ def plain(value: Any) -> Any:
     """A value as JSON types only: dataclasses become objects, tuples lists, numpy values numbers.
 
     Dataclass fields marked `field(metadata={"affects_result": False})` (a device, a thread count) are left
-    out: they change how fast a result comes, not what it is.
+    out: they change how fast a result comes, not what it is. Those marked `{"said_if_set": True}` (an option
+    that came later) are left out while they have their default: earlier results keep their names.
 
     Raises:
         ValueError: a number that is not finite.
@@ -39,8 +40,7 @@ def plain(value: Any) -> Any:
             raise ValueError(f"{value} is not a finite number")
         return float(value)
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        fields = (field for field in dataclasses.fields(value) if field.metadata.get("affects_result", True))
-        return {field.name: plain(getattr(value, field.name)) for field in fields}
+        return {field.name: plain(getattr(value, field.name)) for field in _told(value)}
     if isinstance(value, Mapping):
         return {str(name): plain(item) for name, item in value.items()}
     if isinstance(value, list | tuple):
@@ -50,6 +50,16 @@ def plain(value: Any) -> Any:
     if isinstance(value, Path):
         raise TypeError(f"{value} is a path; give files as inputs, not as configuration")
     raise TypeError(f"{type(value).__name__} is not JSON")
+
+
+def _told(value: Any) -> list[dataclasses.Field[Any]]:
+    """The fields of a dataclass instance that its plain form has."""
+    return [
+        field
+        for field in dataclasses.fields(value)
+        if field.metadata.get("affects_result", True)
+        and not (field.metadata.get("said_if_set") and getattr(value, field.name) == field.default)
+    ]
 
 
 def canonical_json(value: Any) -> bytes:

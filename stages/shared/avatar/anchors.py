@@ -36,10 +36,10 @@ class AnchorOffsets(nn.Module):
         self.register_buffer("poses", torch.zeros(count, features))
         self.register_buffer("bandwidth", torch.ones(count if own_widths else 1))
 
-    def fit(self, poses: Tensor) -> None:
+    def fit(self, poses: Tensor) -> Tensor:
         """Choose anchors among training poses (T, M), T ≥ K: the first, then always the farthest from all.
 
-        With T = K every pose is an anchor, in order, also where two are alike.
+        With T = K every pose is an anchor, in order, also where two are alike. Returns which (K,).
         """
         # The exact form: the quick one loses near poses in rounding and would take one of them twice.
         distance = torch.cdist(poses, poses, compute_mode="donot_use_mm_for_euclid_dist")
@@ -51,6 +51,7 @@ class AnchorOffsets(nn.Module):
         usual = nearest.median()
         widths = nearest.clamp(min=_NARROWEST * float(usual)) if len(self.bandwidth) > 1 else usual
         self.bandwidth.copy_((_BANDWIDTH * widths).clamp(min=1e-6))
+        return chosen
 
     def weights(self, pose: Tensor) -> Tensor:
         """Share (K,) of every anchor in a pose (M,); they sum to less than 1 far from all anchors."""

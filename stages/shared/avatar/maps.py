@@ -154,16 +154,27 @@ class LayerMaps:
         return (view * self.grid_size + row) * self.grid_size + column
 
     def covered_by(self, others: list[LayerMaps]) -> Tensor:
-        """(N,) bool: texels whose map pixel also belongs, on the same side, to one of the `others`."""
+        """(N,) bool: texels whose map pixel also belongs, on the same side, to one of the `others`.
+
+        On a layer with another grid, the pixel that holds the middle of the texel counts.
+        """
         covered = torch.zeros(len(self), dtype=torch.bool, device=self.texels.device)
         for other in others:
-            covered |= torch.isin(self._side_ids(), other._side_ids())
+            covered |= torch.isin(self._side_ids(other), other._side_ids(other))
         return covered
 
-    def _side_ids(self) -> Tensor:
-        """(N,) int64, one number per side and pixel of the global grid, the same for all sheets."""
+    def _side_ids(self, grid: LayerMaps) -> Tensor:
+        """(N,) int64, one number per side and pixel of the grid of `grid`, the same for all sheets."""
         _, row, column = self.texels.unbind(dim=1)
-        return (self.side * self.grid_size + row) * self.grid_size + column
+        if (self.pitch, self.centre, self.grid_size) != (grid.pitch, grid.centre, grid.grid_size):
+            right, up = (self.centre[axis] - grid.centre[axis] for axis in (0, 1))
+            across = ((column + 0.5 - self.grid_size / 2) * self.pitch + right) / grid.pitch
+            down = ((row + 0.5 - self.grid_size / 2) * self.pitch - up) / grid.pitch
+            row, column = (
+                (place + grid.grid_size / 2).floor().long().clamp(-1, grid.grid_size)
+                for place in (down, across)
+            )
+        return (self.side * (grid.grid_size + 2) + row + 1) * (grid.grid_size + 2) + column + 1
 
 
 def _check(arrays: dict[str, np.ndarray], grid_size: int, where: str) -> None:

@@ -111,15 +111,19 @@ class LayerModel(TexelAttributes):
             self.input_mean.copy_(mean)
             self.input_scale.copy_(departure.square().mean().sqrt().clamp(min=_LEAST_DEPARTURE))
         if self.anchors is not None:
-            seen = (images - self.input_mean) / self.input_scale
-            if self.model_config.history and motions:
-                self.motion_scale.copy_(motion_scale(torch.stack(motions), _MOTION_SHARE, _LEAST_MOTION))
-            still: list[None] = [None] * len(poses)
-            described = [
-                self._description(image[None], pose, motion)
-                for image, pose, motion in zip(seen, poses, motions or still, strict=True)
-            ]
-            self.anchors.fit(torch.stack(described))
+            self.fit_anchors(poses, motions)
+
+    def fit_anchors(self, poses: list[Tensor], motions: list[Tensor] | None = None) -> Tensor:
+        """Choose the anchors among poses as in `fit_input`, leaving what the networks see; (K,) which."""
+        assert self.anchors is not None
+        if self.model_config.history and motions:
+            self.motion_scale.copy_(motion_scale(torch.stack(motions), _MOTION_SHARE, _LEAST_MOTION))
+        still: list[None] = [None] * len(poses)
+        described = [
+            self._description((self.positional(pose) - self.input_mean) / self.input_scale, pose, motion)
+            for pose, motion in zip(poses, motions or still, strict=True)
+        ]
+        return self.anchors.fit(torch.stack(described))
 
     @torch.no_grad()
     def fit_mean(self, poses: list[Tensor], motions: list[Tensor] | None = None) -> None:
@@ -158,19 +162,19 @@ class LayerModel(TexelAttributes):
         of every texel, used only with view conditioning (without it the colour network sees no view feature).
         `motion` (M,): `recent_motion`, used only with history; None for a still pose.
         """
-        if self.anchors is None and not len(self.networks):
-            return self.base_color.new_zeros(len(self.maps), 14)
-        raw = self.positional(local_transforms)
+        answer = self.of_networks(local_transforms, cosines)
+        if self.anchors is None:
+            return answer
+        seen = (self.positional(local_transforms) - self.input_mean) / self.input_scale
+        return self._with_anchors(answer, seen, local_transforms, motion)
+
+    def of_networks(self, local_transforms: Tensor, cosines: Tensor | None = None) -> Tensor:
+        """What the networks alone add in a pose (N, 14); arguments as in `residual`."""
         if not len(self.networks):
-            seen = (raw - self.input_mean) / self.input_scale
-            nothing = self.base_color.new_zeros(len(self.maps), 14)
-            return self._with_anchors(nothing, seen, local_transforms, motion)
-        image = (self._input(raw) - self.input_mean) / self.input_scale
-        seen = (raw - self.input_mean) / self.input_scale
+            return self.base_color.new_zeros(len(self.maps), 14)
+        image = (self._input(self.positional(local_transforms)) - self.input_mean) / self.input_scale
         if self.model_config.heads == "joint":
-            return self._with_anchors(
-                self._sampled(self.networks[0](image)[0]), seen, local_transforms, motion
-            )
+            return self._sampled(self.networks[0](image)[0])
         features = None
         if self.view_net is not None and self.cosines is not None and cosines is not None:
             front, back = self.view_net(self.cosines(cosines))
@@ -178,8 +182,7 @@ class LayerModel(TexelAttributes):
         color = self._sampled(self.networks[0](image, features)[0])
         offset = self._sampled(self.networks[1](image)[0])
         other = self._sampled(self.networks[2](image)[0])
-        joined = torch.cat((offset, other[:, 4:8], other[:, 0:1], other[:, 1:4], color), dim=1)
-        return self._with_anchors(joined, seen, local_transforms, motion)
+        return torch.cat((offset, other[:, 4:8], other[:, 0:1], other[:, 1:4], color), dim=1)
 
     def _input(self, image: Tensor) -> Tensor:
         """The positional map of a pose, or of the nearest one that the training would explain."""
@@ -200,8 +203,7 @@ class LayerModel(TexelAttributes):
         self, residual: Tensor, image: Tensor, local_transforms: Tensor, motion: Tensor | None
     ) -> Tensor:
         """Add the anchors' offsets for a pose to a residual (N, 14), and fade where no anchor is near."""
-        if self.anchors is None:
-            return residual
+        assert self.anchors is not None
         description = self._description(image, local_transforms, motion)
         offsets = self._sampled(self.anchors(description)) / self.model_config.offset_scale
         residual = torch.cat((residual[:, :3] + offsets, residual[:, 3:]), dim=1)

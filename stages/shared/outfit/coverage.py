@@ -30,9 +30,11 @@ def covered_weights(body: LayerMaps, garment: LayerMaps, feather: float = FEATHE
     """How much each body texel is covered: (N,) f32, 0 bare, 1 deep beneath the garment, feathered between.
 
     Arguments:
-        body, garment: maps on the same grid. feather: metres; 0 for a hard edge.
+        body, garment: maps; on different grids nothing counts as covered. feather: metres; 0 for a hard edge.
     """
     weights = np.zeros(len(body), np.float32)
+    if not same_grid(body, garment):
+        return weights
     texels, window = body.texels.numpy(), garment.window
     reach = int(np.ceil(DILATION / body.pitch)) + 1
     row0, column0 = window[0] - reach, window[1] - reach

@@ -106,11 +106,15 @@ def layer_of_bundle(bundle: Bundle) -> WornLayer:
 
 
 def layer_of_training(name: str, baked: Artifact, trained: Artifact) -> WornLayer:
-    """A layer of a trained subject, from its bake-maps and train artifacts; a baseline has its own maps."""
-    config = trained.json("model.json")["layers"][name]
-    ids = None
+    """A layer of a trained subject, from its bake-maps and train artifacts.
+
+    Layers of a baseline, and those that another subject's training began, have maps of their own.
+    """
+    described = trained.json("model.json")
+    config, ids = described["layers"][name], None
     if trained.has(f"maps-{name}.safetensors"):
-        arrays, grid = trained.arrays(f"maps-{name}.safetensors"), baked.summary
+        arrays = trained.arrays(f"maps-{name}.safetensors")
+        grid = described.get("grids", {}).get(name, baked.summary)
         maps = LayerMaps.from_arrays(name, arrays, grid["pitch"], grid["centre"], grid["grid_size"])
         if "layer_ids" in arrays:
             ids = torch.from_numpy(arrays["layer_ids"].astype(np.int64))

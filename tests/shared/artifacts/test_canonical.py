@@ -28,6 +28,13 @@ class Sample:
     device: str = field(default="cpu", metadata={"affects_result": False})
 
 
+@dataclass(frozen=True)
+class Later(Sample):
+    """The same sample after an option was added."""
+
+    added: tuple[str, ...] = field(default=(), metadata={"said_if_set": True})
+
+
 BASE: dict[str, Any] = {
     "stage": "s",
     "schema": "1.0",
@@ -53,6 +60,12 @@ BASE: dict[str, Any] = {
 )
 def test_the_key_changes_with_what_determines_the_result(changed: dict[str, Any]) -> None:
     assert artifact_key(**{**BASE, **changed}) != artifact_key(**BASE)
+
+
+def test_an_option_added_later_changes_the_key_only_where_it_is_set() -> None:
+    key = artifact_key(**BASE)
+    assert artifact_key(**{**BASE, "config": Later()}) == key
+    assert artifact_key(**{**BASE, "config": Later(added=("body",))}) != key
 
 
 @pytest.mark.parametrize(

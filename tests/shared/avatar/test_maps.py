@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -46,6 +48,28 @@ def test_covered_texels_share_a_pixel() -> None:
     expected = (body.positions[:, 1] > 0) & (body.positions[:, 1] < 0.2)
     assert torch.equal(covered, expected)
     assert not body.covered_by([]).any()
+
+
+def test_a_layer_on_another_grid_covers_the_texels_at_the_same_places() -> None:
+    body, shirt = tube(), tube("upper", radius=0.17, low=0.0, high=0.2)
+    moved = (0.07, -0.03, 0.0)  # the grid's middle, and what each texel shows, move together
+    other = replace(
+        shirt,
+        pitch=PITCH,
+        centre=moved,
+        grid_size=GRID + 40,
+        texels=shirt.texels + torch.tensor([0, 20, 20]),
+    )
+    seen = body.positions[:, :2] - torch.tensor(moved[:2])
+    expected = (seen[:, 1] > 0) & (seen[:, 1] < 0.2) & (seen[:, 0].abs() < 0.17)
+    found = body.covered_by([other])
+    edge = torch.minimum((seen[:, 1]).abs(), (seen[:, 1] - 0.2).abs()) < PITCH
+    edge |= (seen[:, 0].abs() - 0.17).abs() < PITCH
+    assert found.any() and torch.equal(found[~edge], expected[~edge])
+
+    finer = replace(body, pitch=PITCH / 2, texels=body.texels)  # a body half as large, in finer texels
+    half = finer.covered_by([shirt])
+    assert torch.equal(half, (body.positions[:, 1] > 0))
 
 
 @pytest.mark.parametrize(

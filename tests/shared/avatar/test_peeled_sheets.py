@@ -74,7 +74,7 @@ def test_residual_is_shared_between_stacked_texels_and_base_attributes_are_not(
             parameter += 0.1 * torch.randn_like(parameter)
     residual = model.residual(torch.eye(4).repeat(55, 1, 1))
     below = (peeled.texels[:, 0] >= 2).nonzero()[:, 0]
-    ids = peeled._side_ids()
+    ids = peeled._side_ids(peeled)
     above = torch.searchsorted(ids[: int((~(peeled.texels[:, 0] >= 2)).sum())], ids[below])
     assert torch.equal(ids[above], ids[below]) and residual[below].std() > 0
     assert torch.allclose(residual[below], residual[above])

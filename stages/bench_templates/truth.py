@@ -9,11 +9,10 @@ from stages.shared.artifacts import Artifact
 from stages.shared.body.kinematics import posed_joints, shaped_vertices
 from stages.shared.body.model import BodyModel
 from stages.shared.body.poses import Poses
-from stages.shared.capture import LABELS, NO_LABEL
+from stages.shared.capture import LABELS, LAYER_OF_LABEL, NO_LABEL
 from stages.shared.metrics.silhouette import iou
 
 _BODY_JOINTS = 22  # without face and fingers
-_LAYER_OF = {0: "body", 1: "body", 2: "body", 3: "upper", 4: "lower", 5: "outer"}
 
 
 def fit_errors(body: BodyModel, fitted: Poses, given: Poses, frame: int) -> tuple[float, float]:
@@ -39,10 +38,10 @@ def label_scores(found: np.ndarray, truth: np.ndarray) -> dict[str, float | None
     if not known.any():
         return {"accuracy": None, "miou": None}
     found, truth = found[known], truth[known]
-    names = {name for label, name in _LAYER_OF.items() if (truth == label).any()}
+    names = {name for label, name in LAYER_OF_LABEL.items() if (truth == label).any()}
     overlaps = []
     for name in sorted(names):
-        labels = [label for label in LABELS if _LAYER_OF.get(label) == name]
+        labels = [label for label in LABELS if LAYER_OF_LABEL.get(label) == name]
         overlaps.append(iou(np.isin(found, labels), np.isin(truth, labels)))
     present = [overlap for overlap in overlaps if overlap is not None]
     return {"accuracy": float((found == truth).mean()), "miou": float(np.mean(present))}

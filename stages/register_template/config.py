@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 TEMPLATES = ("auto", "scan", "hull", "body")
 POSES = ("given", "fit", "refine")
+FULL_FIT = 120
 
 
 @dataclass(frozen=True)
@@ -24,7 +25,7 @@ class RegisterTemplateConfig:
         smoothing_steps: rounds of smoothing of a hull that shrink nothing.
         edge_m: length of the edges of a hull after remeshing, metres.
         most_faces: scans with more faces are simplified.
-        fit_steps: 120 gives every level of a fit all of its steps, less a share of them.
+        fit_steps: `FULL_FIT` gives every level of a fit all of its steps, less a share of them.
         poses: "given" (the capture's own, checked), "fit" (found from masks, and from the scan where that is
             the template), "refine" (the capture's own as the start).
         virtual_cameras: how many cameras are rendered around the scans in place of the capture's own; 0 none.
@@ -40,9 +41,14 @@ class RegisterTemplateConfig:
     smoothing_steps: int = 8
     edge_m: float = 0.010
     most_faces: int = 200_000
-    fit_steps: int = 120
+    fit_steps: int = FULL_FIT
     poses: str = "given"
     virtual_cameras: int = 0
+
+    @property
+    def effort(self) -> float:
+        """Share of the steps of every level of a fit."""
+        return self.fit_steps / FULL_FIT
 
 
 PRESETS: dict[str, RegisterTemplateConfig] = {

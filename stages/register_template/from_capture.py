@@ -21,8 +21,6 @@ from stages.shared.capture.convention import AS_IS, take_in_convention
 from stages.shared.capture.open_capture import with_poses
 from stages.shared.report import Report
 
-_FULL_FIT = 120  # `fit_steps` at which every level has all of its steps
-
 
 def register_capture(source: Source, config: RegisterTemplateConfig, report: Report) -> Registered:
     """Check the alignment and make the template of a capture; fit the body first when that is asked for."""
@@ -95,7 +93,7 @@ def _fit(
     takes = [take, *(one for one in capture.takes if one.name != take.name)]
     if config.poses == "fit":
         takes = [replace(one, posed=False) for one in takes]
-    found = fit_takes(source.body, takes, scan, report, config.fit_steps / _FULL_FIT)
+    found = fit_takes(source.body, takes, scan, report, config.effort)
     return found.poses, found.told
 
 

@@ -121,12 +121,17 @@ def silhouette(take: Take, name: str, frame: int) -> Silhouette:
     inside = mask > MASK_THRESHOLD
     if not inside.any():
         raise take.empty_mask(name, frame)
-    deep = cv2.distanceTransform(inside.astype(np.uint8), cv2.DIST_L2, 5)
-    far = cv2.distanceTransform((~inside).astype(np.uint8), cv2.DIST_L2, 5)
-    distance = np.where(inside, deep - 0.5, 0.5 - far)
+    distance = signed_distance(inside)
     edge = np.abs(distance) < 1
     distance[edge] = mask[edge] / 255.0 - 0.5
     return Silhouette(take.camera(name), distance[..., None].astype(np.float32))
+
+
+def signed_distance(inside: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """(H, W) f32 pixels to the edge of a mask, positive inside."""
+    deep = cv2.distanceTransform(inside.astype(np.uint8), cv2.DIST_L2, 5)
+    far = cv2.distanceTransform((~inside).astype(np.uint8), cv2.DIST_L2, 5)
+    return np.where(inside, deep - 0.5, 0.5 - far).astype(np.float32)
 
 
 def outward(vertices: Doubles, faces: NDArray[np.integer]) -> Mesh:

@@ -28,7 +28,6 @@ from stages.shared.poses import load_poses
 from stages.shared.report import Report
 
 _STRANGE_M, _STRANGE_SHARE = 0.30, 0.25  # so much of the area, so far from the body, is somebody else's
-_FULL_FIT = 120  # `fit_steps` at which every level has all of its steps
 
 
 def register_mesh(source: Source, config: RegisterTemplateConfig, report: Report) -> Registered:
@@ -44,7 +43,7 @@ def register_mesh(source: Source, config: RegisterTemplateConfig, report: Report
     mesh = cleaned.mesh
     if source.params is None:
         report.step("fitting the body to the mesh")
-        fit = fit_scan(body, mesh, report, config.fit_steps / _FULL_FIT)
+        fit = fit_scan(body, mesh, report, config.effort)
         poses, frame = fit.state.poses(), 0
         turn = UP_AXES[fit.up]
         if fit.up != "+y":

@@ -52,8 +52,12 @@ def nearest_seen(vertices: np.ndarray, edges: np.ndarray, seen: np.ndarray) -> n
     return np.asarray(nearest)
 
 
-def edge_weights(vertices: np.ndarray, normals: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """(E,) how much a label border across each edge costs: 1 on flat ground, less in creases."""
+def edge_weights(normals: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """(E,) how much a label border across each of the edges (E, 2) costs: 1 on flat ground, less in creases.
+
+    Arguments:
+        normals: (V, 3) unit.
+    """
     agreement = np.einsum("ek,ek->e", normals[edges[:, 0]], normals[edges[:, 1]])
     return 0.2 + 0.8 * np.clip(agreement, 0.0, 1.0) ** 4
 
@@ -75,7 +79,7 @@ def label_vertices(
     `smallest_share` of the area.
     """
     edges = mesh_edges(vertices, faces)
-    weights = smoothness * edge_weights(vertices, normals, edges)
+    weights = smoothness * edge_weights(normals, edges)
     labels = alpha_expansion(label_costs(vertices, edges, votes), edges, weights, sweeps)
     return tidy_labels(vertices, faces, labels, garments, smallest_island, smallest_share)
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.register_template.fitting.bones import Doubles
+from stages.register_template.hull import signed_distance
 from stages.shared.capture import Take
 from stages.shared.capture.camera import Camera
 from stages.shared.capture.labels import NO_LABEL
@@ -32,7 +33,6 @@ class View:
         slope: (H, W, 2) f32 its derivative along x and y.
         contour: (M, 2) pixels on the edge. normals: (M, 2) pointing out of the mask.
         bound: (M,) 0 to 1 how far the edge is bare skin, from label images; None without.
-        area: pixels inside.
     """
 
     camera: Camera
@@ -41,7 +41,6 @@ class View:
     contour: Doubles
     normals: Doubles
     bound: Doubles | None
-    area: int
 
 
 def views_of(take: Take, frame: int, contour_points: int = 400) -> list[View]:
@@ -90,15 +89,7 @@ def _view(take: Take, name: str, frame: int, count: int) -> View:
         pixels + 0.5 + 0.5 * outward,
         outward,
         _bound(take, name, frame, pixels, factor),
-        int(inside.sum()),
     )
-
-
-def signed_distance(inside: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """(H, W) f32 pixels to the edge of a mask, positive inside."""
-    deep = cv2.distanceTransform(inside.astype(np.uint8), cv2.DIST_L2, 5)
-    far = cv2.distanceTransform((~inside).astype(np.uint8), cv2.DIST_L2, 5)
-    return np.where(inside, deep - 0.5, 0.5 - far).astype(np.float32)
 
 
 def _bound(take: Take, name: str, frame: int, pixels: NDArray, factor: float) -> Doubles | None:

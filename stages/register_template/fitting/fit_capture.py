@@ -59,7 +59,7 @@ def fit_takes(
     report.step(f"fitting the body to frame {anchor} of {main.name}")
     seen = with_scan(views_of(main, anchor, _CONTOUR_POINTS), scan)
     start = _start(body, main, anchor, seen, scan, report, effort)
-    states = _all_frames(body, main, anchor, start, report, effort)
+    states = _all_frames(body, main, anchor, start, report)
     report.step("fitting one shape to several frames")
     state = _one_shape(body, main, anchor, states, seen, effort)
     poses: dict[str, Poses] = {}
@@ -68,7 +68,7 @@ def fit_takes(
         if take is not main:
             own = with_scan(views_of(take, take.frames[0], _CONTOUR_POINTS), None)
             begin = _start(body, take, take.frames[0], own, None, report, effort)
-            states = _all_frames(body, take, take.frames[0], begin, report, effort)
+            states = _all_frames(body, take, take.frames[0], begin, report)
         report.step(f"polishing {take.name}")
         poses[take.name], misfits[take.name] = _polished(body, take, states, state.betas, report)
     return TakesFit(poses, {"misfit_m": misfits, "shape_from_frames": _spread(main.frames)})
@@ -87,9 +87,7 @@ def _start(
     return first_pose(body, rough_hull(take, frame), seen, report, effort)
 
 
-def _all_frames(
-    body: BodyModel, take: Take, anchor: int, start: State, report: Report, effort: float
-) -> dict[int, State]:
+def _all_frames(body: BodyModel, take: Take, anchor: int, start: State, report: Report) -> dict[int, State]:
     """States of all frames: the given ones with the shape of `start`, or followed in time from the anchor."""
     if take.posed:
         return {

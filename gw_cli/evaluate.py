@@ -67,6 +67,14 @@ def register(app: typer.Typer) -> None:
                 metavar="FILE", help="VGG-16 and LPIPS weights, safetensors; without, lpips is null."
             ),
         ] = None,
+        true_meshes: Annotated[
+            list[str] | None,
+            typer.Option(
+                metavar="FILE",
+                help="Also measure garments against their true meshes: gt/meshes.npz of a take (TAKE=FILE "
+                "where the path does not name it), or the folder of a capture that has them. Repeatable.",
+            ),
+        ] = None,
         preset: Preset = "draft",
         dry_run: DryRun = False,
         as_json: Json = False,
@@ -77,6 +85,10 @@ def register(app: typer.Typer) -> None:
         come first; psnr and ssim over the whole picture are the ones that papers print. flip is a perceptual
         difference that needs no weights (0 is equal). With --frames and --truth, rendered frames are scored
         against a capture; with --images and --truth, any folders of pictures.
+
+        With --true-meshes (simulated captures have them), vertex_error says how far each garment is from the
+        true one, in metres, beside its texels moved by the bones alone: between the surfaces, and material:
+        from point to point of the cloth, which is what notices sliding. Give the training take's file too.
         """
         from stages.evaluate.config import PRESETS
 
@@ -90,6 +102,12 @@ def register(app: typer.Typer) -> None:
             config = replace(config, cameras=cameras)
         config = replace(config, training=training)
         given = sum(source is not None for source in (subject, frames, images))
+        if true_meshes and subject is None:
+            raise UsageProblem(
+                "True meshes are compared with a trained subject.",
+                "option --true-meshes",
+                "Give the subject: gw evaluate SUBJECT --true-meshes FILE.",
+            )
         if given != 1 or (truth is None) != (subject is not None) or (masks is not None and images is None):
             raise UsageProblem(
                 "It is not clear what to evaluate.",
@@ -106,9 +124,9 @@ def register(app: typer.Typer) -> None:
         from stages.evaluate import stage
 
         if dry_run:
-            console.plan(stage.plan(subject, output, config))
+            console.plan(stage.plan(subject, output, config, true_meshes or ()))
             return
-        result = stage.run(subject, output, config, console, perceptual_weights)
+        result = stage.run(subject, output, config, console, perceptual_weights, true_meshes or ())
         console.result(
             {"path": result.path, **result.summary},
             next_command=f"gw export-garment {subject} --layer lower -o lower.gwg",

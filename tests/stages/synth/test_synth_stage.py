@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 from gw_cli.app import app
 from stages.shared.body import embedded_body, posed_vertices
 from stages.shared.capture import NO_LABEL, Take, open_capture
+from stages.shared.capture.true_meshes import true_meshes_of
 from stages.shared.poses import load_poses
 from stages.synth import stage
 from stages.synth.config import PRESETS, SynthConfig
@@ -143,6 +144,18 @@ def test_garments_do_not_tear_and_stay_outside_the_body(
                 # The body overlaps itself at the armpit of a lowered arm; cloth there cannot be outside.
                 assert distance.min() > -0.02
                 assert np.mean(distance < 0) < 0.01
+
+
+def test_its_truth_is_what_evaluate_measures_against(made: stage.SynthResult) -> None:
+    """Of each take, and cloth of the same numbers in both, so that points of it can be followed."""
+    capture = open_capture(made.captures["subject_2"])
+    found = true_meshes_of([str(capture.root)], capture)
+    assert set(found) == {take.name for take in capture.takes} == {"train", "held_out"}
+    for take in capture.takes:
+        assert list(found[take.name].rows) == take.frames
+        assert set(found[take.name].layers) == GARMENTS["subject_2", "train"]
+    for layer, mesh in found["train"].layers.items():
+        assert mesh.same_cloth(found["held_out"].layers[layer])
 
 
 def test_cloth_lags_behind_the_body(made: stage.SynthResult) -> None:

@@ -5,6 +5,7 @@ An audit hook watches every reading: no process, no socket, no code, no file ope
 
 from __future__ import annotations
 
+import copy
 import json
 import os
 import resource
@@ -65,7 +66,7 @@ def _changed_tree(tree: Any, random: np.random.Generator) -> Any:
         if isinstance(container, dict) and random.random() < 0.2:
             container.pop(key)
         else:
-            container[key] = NUMBERS[random.integers(len(NUMBERS))]
+            container[key] = copy.deepcopy(NUMBERS[random.integers(len(NUMBERS))])
     return tree
 
 

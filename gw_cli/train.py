@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from gw_cli import completion
 from gw_cli.console import Console, command
 from gw_cli.options import (
     Device,
@@ -21,6 +22,7 @@ from gw_cli.options import (
     parse_ranks,
     preset_config,
 )
+from stages.shared.errors import UsageProblem
 from stages.train.ablation import PARTS
 
 
@@ -96,6 +98,23 @@ def register(app: typer.Typer) -> None:
                 + ".",
             ),
         ] = "",
+        from_subject: Annotated[
+            Path | None,
+            typer.Option(
+                metavar="OTHER",
+                help="Start from another trained subject, the same person in an inner outfit: its body stays "
+                "as it is, the layers that both have go on from there, outer garments are new.",
+                autocompletion=completion.subjects,
+            ),
+        ] = None,
+        from_layers: Annotated[
+            str,
+            typer.Option(
+                metavar="LAYERS",
+                help="With --from-subject: only these layers, with commas; body alone where the shirt "
+                "beneath is another one.",
+            ),
+        ] = "",
         perceptual_weights: Annotated[
             Path | None,
             typer.Option(
@@ -112,6 +131,8 @@ def register(app: typer.Typer) -> None:
 
         Reads the maps of `gw bake-maps` and the training take. Ctrl-C writes a checkpoint; the same command
         goes on from there. Losses and times go to metrics.jsonl, previews (truth, render, labels) beside it.
+        An outer garment is learned best over a known body: train the inner outfit as a subject of its own
+        first, then this one with --from-subject.
         """
         from stages.train import stage
         from stages.train.config import METHODS, PRESETS
@@ -130,6 +151,7 @@ def register(app: typer.Typer) -> None:
             minutes=minutes,
             method=method,
             without=names(without),
+            from_layers=names(from_layers),
             **{name: value for name, value in chosen.items() if value is not None},
         )
         if track_step is not None:
@@ -139,10 +161,23 @@ def register(app: typer.Typer) -> None:
         shape: dict[str, Any] = {"decoder": decoder, "networks": networks, "width": network_width}
         shape["ranks"] = parse_ranks(ranks) if ranks else None
         config = replace(config, model=replace(config.model, **{k: v for k, v in shape.items() if v}))
+        if from_layers and from_subject is None:
+            raise UsageProblem(
+                "There is no subject to take these layers from.",
+                "option --from-layers",
+                "Give --from-subject.",
+            )
         if dry_run:
-            console.plan(stage.plan(subject, config, perceptual_weights))
+            console.plan(stage.plan(subject, config, perceptual_weights, from_subject))
             return
-        result = stage.run(subject, config, console, force=force, perceptual_weights=perceptual_weights)
+        result = stage.run(
+            subject,
+            config,
+            console,
+            force=force,
+            perceptual_weights=perceptual_weights,
+            from_subject=from_subject,
+        )
         console.result(
             {"artifact": result.artifact.path, **result.summary},
             next_command=f"gw export-garment {subject} --layer body -o body.gwg"

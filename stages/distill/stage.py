@@ -67,9 +67,12 @@ def run(
             report.step(f"distilling {name}")
             fit = _distilled(name, baked, trained, samples, config, report)
             build.write_arrays(f"{name}.safetensors", {k: v.numpy() for k, v in fit.model.state().items()})
+            if trained.has(own := f"maps-{name}.safetensors"):
+                build.write_arrays(own, trained.arrays(own))
             layers[name] = fit.model.config
             summary[name] = _figures(fit)
-        build.write_json("model.json", {"layers": layers})
+        grids = trained.json("model.json").get("grids")
+        build.write_json("model.json", {"layers": layers, **({"grids": grids} if grids else {})})
         build.summary(**summary)
     return StageResult(build.artifact, build.artifact.summary)
 

@@ -92,6 +92,8 @@ class TrainConfig:
         weights, rates, track, model: see there.
         method: what is learned: "gaussian-wardrobe" (a layer per garment), or a baseline
             (`stages/train/method.py`). without: parts left out (`stages/train/ablation.py`).
+        from_layers: layers that start from another subject (`stages/train/start.py`); all that both have
+            where it is empty and such a subject is given.
         device: auto, cpu or cuda; not part of what the result is named by.
     """
 
@@ -117,6 +119,7 @@ class TrainConfig:
     model: ModelConfig = field(default_factory=ModelConfig)
     method: str = METHODS[0]
     without: tuple[str, ...] = ()
+    from_layers: tuple[str, ...] = field(default=(), metadata={"said_if_set": True})
     device: str = field(default="auto", metadata={"affects_result": False})
 
 

@@ -5,9 +5,11 @@ Reads:
     bake-maps: `<layer>.safetensors` maps of each layer that is there.
     the capture: images, masks and labels of the training take.
     a file of perceptual weights (docs/formats.md), if one is given.
+    another subject's training and maps, if layers start from there (`stages/train/start.py`).
 Writes:
     `<layer>.safetensors`: base attributes (N, …) f32 per texel and network weights (`TexelAttributes.state`).
-    `model.json`: {"layers": {name: `TexelAttributes.config`}}, inner to outer.
+    `model.json`: {"layers": {name: `TexelAttributes.config`}}, inner to outer; "grids" of own maps.
+    `maps-<layer>.safetensors`: of layers with other maps than those of bake-maps.
     `metrics.jsonl`: one line per few steps: losses, gradient norm, seconds by part.
     `previews/*.png`: truth | render | labels.
 """
@@ -15,34 +17,35 @@ Writes:
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 
-from stages.pipeline import BAKE_MAPS, REGISTER_TEMPLATE, TRAIN
-from stages.shared.artifacts import Artifact, ExternalFiles, Progress, Workspace
+from stages.pipeline import TRAIN
+from stages.shared.artifacts import Progress, Workspace
 from stages.shared.artifacts.external import file_digest
 from stages.shared.artifacts.result import StageResult
-from stages.shared.avatar.decoder import new_model
+from stages.shared.avatar.decoder import AvatarModel, new_model
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.body import BodyModel
-from stages.shared.capture import LAYERS, Capture, Take
-from stages.shared.capture.subject import open_subject_capture
-from stages.shared.errors import BadData, MissingInput, UsageProblem
+from stages.shared.capture import Take
+from stages.shared.errors import BadData, UsageProblem
 from stages.shared.losses.perceptual import SMALLEST_SIDE, Perceptual
 from stages.shared.plan import Plan
 from stages.shared.poses import load_poses
 from stages.shared.report import SILENT, Report
 from stages.train import checkpoint, cost
+from stages.train.begin import begun_model, known_model
 from stages.train.checkpoint import METRICS_NAME, RunState
-from stages.train.config import METHODS, TrainConfig
+from stages.train.config import TrainConfig
 from stages.train.data import TrainingViews
 from stages.train.loop import learn
 from stages.train.memory import available_bytes, memory_named, say_if_scarce
-from stages.train.method import MethodLayers, method_layers, settled
+from stages.train.method import settled
+from stages.train.source import Source, open_source
+from stages.train.start import Start
 from stages.train.trainer import Trainer
 from stages.train.watch import Watch
 
@@ -54,10 +57,12 @@ def run(
     force: bool = False,
     perceptual_weights: Path | None = None,
     watch: Watch | None = None,
+    from_subject: Path | None = None,
 ) -> StageResult:
     """Train the layers of a subject; an interrupted run of the same configuration goes on where it stopped.
 
-    Without `perceptual_weights` the LPIPS terms are off. `watch` is shown the outfit while it learns.
+    Without `perceptual_weights` the LPIPS terms are off. `watch` is shown the outfit while it learns. With
+    `from_subject`, layers begin as that trained subject has them, and its body stays as it is.
 
     Raises:
         MissingInput: an earlier stage has not run. BadData: three steps in a row were not finite.
@@ -66,13 +71,15 @@ def run(
     config = _with_digest(config or TrainConfig(), perceptual_weights)
     weights = settled(config).weights
     workspace = Workspace(subject)
-    source = _open(workspace)
+    source = open_source(workspace, config, from_subject)
     inputs = source.inputs
     found = None if force else workspace.find(TRAIN, config, inputs)
     if found is not None:
         report.say("up to date")
         return StageResult(found, found.summary)
     report.step("read")
+    for warning in source.start.warnings:
+        report.warn(warning)
     perceptual = Perceptual.load(perceptual_weights) if perceptual_weights else None
     if perceptual is None and max(weights.lpips, weights.face) > 0:
         report.say("no perceptual weights given: the LPIPS terms are off")
@@ -97,25 +104,31 @@ def run(
             for name, arrays in source.own_maps(config.method).items():
                 build.write_arrays(f"maps-{name}.safetensors", arrays)
             models = {name: model.config for name, model in trainer.models.items()}
-            build.write_json("model.json", {"layers": models, "method": config.method})
+            grids = {"grids": source.start.grids} if source.start.layers else {}
+            build.write_json("model.json", {"layers": models, "method": config.method, **grids})
             build.write_bytes(METRICS_NAME, (progress.path / METRICS_NAME).read_bytes())
             for picture in sorted((progress.path / "previews").glob("*.png")):
                 build.write_bytes(f"previews/{picture.name}", picture.read_bytes())
-            build.summary(**_summary(trainer, state, progress))
+            build.summary(**_summary(trainer, source.start, state, progress))
             build.measured(training_seconds=round(state.elapsed, 1))
     return StageResult(build.artifact, build.artifact.summary)
 
 
-def plan(subject: Path, config: TrainConfig | None = None, perceptual_weights: Path | None = None) -> Plan:
+def plan(
+    subject: Path,
+    config: TrainConfig | None = None,
+    perceptual_weights: Path | None = None,
+    from_subject: Path | None = None,
+) -> Plan:
     """Inputs, outputs and cost of `run`; reads the maps, writes nothing."""
     config = _with_digest(config or TrainConfig(), perceptual_weights)
     _device(config.device)
     workspace = Workspace(subject)
-    source = _open(workspace)
+    source = open_source(workspace, config, from_subject)
     maps = source.layers(config.method).maps
-    weights = [str(perceptual_weights)] if perceptual_weights else []
+    given = [str(path) for path in (perceptual_weights, from_subject) if path]
     return Plan(
-        inputs=[str(source.registered.path), str(source.baked.path), str(source.capture.root), *weights],
+        inputs=[str(source.registered.path), str(source.baked.path), str(source.capture.root), *given],
         outputs=[f"{workspace.root / TRAIN.name}/<key>/{name}.safetensors" for name in maps],
         config=asdict(config),
         seconds=cost.seconds(maps, settled(config), _tracked_views(source.take, settled(config))),
@@ -125,68 +138,17 @@ def plan(subject: Path, config: TrainConfig | None = None, perceptual_weights: P
 
 
 def prepare(
-    subject: Path, config: TrainConfig, change: Callable[[LayerMaps], LayerMaps] | None = None
+    subject: Path,
+    config: TrainConfig,
+    change: Callable[[LayerMaps], LayerMaps] | None = None,
+    from_subject: Path | None = None,
 ) -> Trainer:
     """The trainer with which `run` would begin, without LPIPS; for measuring.
 
     `change` makes other maps of every layer's.
     """
-    return _trainer(_open(Workspace(subject)), config, _device(config.device), None, change)
-
-
-@dataclass(frozen=True)
-class _Source:
-    """Everything the stage reads."""
-
-    registered: Artifact
-    baked: Artifact
-    capture: Capture
-    take: Take
-
-    @property
-    def inputs(self) -> dict[str, Artifact | ExternalFiles]:
-        groups = ("cameras", "images", "masks", "labels")
-        files = {f"capture/{group}": self.capture.files(group, "train") for group in groups}
-        return {
-            "register-template": self.registered,
-            "bake-maps": self.baked,
-            **{name: ExternalFiles(name, self.capture.root, paths) for name, paths in files.items() if paths},
-        }
-
-    def maps(self) -> dict[str, LayerMaps]:
-        """Maps of the layers that are there, inner to outer."""
-        layers = [name for name in LAYERS if name in self.baked.summary["layers"]]
-        return {name: LayerMaps.load(self.baked, name) for name in layers}
-
-    def layers(self, method: str) -> MethodLayers:
-        """What a method learns, made from those maps."""
-        betas = load_poses(self.registered.file("smpl_params.npz")).betas
-        return method_layers(method, self.maps(), torch.from_numpy(betas))
-
-    def own_maps(self, method: str) -> dict[str, dict[str, np.ndarray]]:
-        """Arrays of the maps that only this method has, by layer; none for the layers of bake-maps."""
-        if method == METHODS[0]:
-            return {}
-        layers = self.layers(method)
-        found = {name: maps.arrays() for name, maps in layers.maps.items()}
-        for name, ids in layers.layer_ids.items():
-            found[name]["layer_ids"] = ids.numpy().astype(np.int32)
-        return found
-
-
-def _open(workspace: Workspace) -> _Source:
-    registered, baked = workspace.require(REGISTER_TEMPLATE), workspace.require(BAKE_MAPS)
-    body = BodyModel.from_arrays(registered.arrays("body.safetensors"))
-    capture = open_subject_capture(workspace, body)
-    name = registered.summary.get("take")
-    takes = {take.name: take for take in capture.training_takes}
-    if name not in takes:
-        raise MissingInput(
-            f"The capture has no training take called {name!r} any more.",
-            str(capture.root),
-            "Register the subject again with `gw register-template`.",
-        )
-    return _Source(registered, baked, capture, takes[name])
+    source = open_source(Workspace(subject), config, from_subject)
+    return _trainer(source, config, _device(config.device), None, change)
 
 
 def _with_digest(config: TrainConfig, perceptual_weights: Path | None) -> TrainConfig:
@@ -218,7 +180,7 @@ def _tracked_views(take: Take, config: TrainConfig) -> int:
 
 
 def _trainer(
-    source: _Source,
+    source: Source,
     config: TrainConfig,
     device: torch.device,
     perceptual: Perceptual | None,
@@ -241,18 +203,26 @@ def _trainer(
     anchors = (
         frames if config.track.frame_step and config.model.anchors else min(config.model.anchors, frames)
     )
-    shape = replace(config.model, anchors=anchors)
-    models = {
-        name: new_model(layer.to(device), shape, frames, seed=config.seed + index).to(device)
-        for index, (name, layer) in enumerate(maps.items())
-    }
+    shape, start = replace(config.model, anchors=anchors), source.start
+    known = {name: known_model(worn, device) for name, worn in start.layers.items()}
+    models: dict[str, AvatarModel] = {}
+    for index, (name, layer) in enumerate(maps.items()):
+        if name in start.frozen:
+            models[name] = known[name]
+        elif name in start.layers:
+            models[name] = begun_model(start.layers[name], shape, device)
+        else:
+            models[name] = new_model(layer.to(device), shape, frames, seed=config.seed + index).to(device)
+    config = replace(config, weights=start.weights(config.weights))
     template_frame = int(source.registered.summary.get("frame", 0))
-    return Trainer(config, models, views, device, perceptual, template_frame)
+    return Trainer(config, models, views, device, perceptual, template_frame, known)
 
 
-def _summary(trainer: Trainer, state: RunState, progress: Progress) -> dict[str, Any]:
+def _summary(trainer: Trainer, start: Start, state: RunState, progress: Progress) -> dict[str, Any]:
     lines = progress.lines(METRICS_NAME)
+    begun = {"started": list(start.layers), "frozen": list(start.frozen)} if start.layers else {}
     return {
+        **begun,
         "method": trainer.config.method,
         "without": list(trainer.config.without),
         "layers": list(trainer.models),

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
@@ -23,14 +22,15 @@ from stages.shared.avatar.compose import Composite, compose
 from stages.shared.avatar.decoder import AvatarModel
 from stages.shared.avatar.deform import PosedGaussians, blended, pose_layer
 from stages.shared.avatar.pose import FramePose
+from stages.train.begin import Beginnings
 from stages.train.cells import Cells
 from stages.train.collision import outwards
 from stages.train.config import TrackConfig
 from stages.train.data import TrainingViews, View
 from stages.train.displacement import Equations, grey_picture, motion
 from stages.train.objective import render
+from stages.train.solve import Floats, conjugate_gradients, fitted_cells
 
-Floats = NDArray[np.float64]
 _PER_METRE = 220.0  # px; only the unit of the solution, which the smoothness weights refer to
 _SOLVER_STEPS = 60
 _KEPT = 0.9  # share of the last frame's shape that smoothness takes as rest
@@ -55,6 +55,7 @@ class Tracker:
         models: name to model, inner to outer; those with anchors are followed, one anchor per frame of
             `frames` in order. views: training pictures. frames: numbers. start: index into `frames` where the
             geometry is right. poses: frame number to pose.
+        begun: what layers bring that were learned before; None where all are new.
     """
 
     def __init__(
@@ -65,11 +66,15 @@ class Tracker:
         frames: list[int],
         start: int,
         poses: Any,
+        begun: Beginnings | None = None,
     ) -> None:
         self.config, self.models, self.views, self.frames, self.poses = config, models, views, frames, poses
         self.order = [*range(start, len(frames)), *range(start - 1, -1, -1)]
         self.start = start
         self.tracked = {n: _tracked(model, config.cell) for n, model in models.items() if has_anchors(model)}
+        self.begun = begun
+        known = begun.offsets(frames[start]) if begun else {}
+        self.beginning = {n: fitted_cells(self.tracked[n].cells, offsets) for n, offsets in known.items()}
 
     @torch.no_grad()
     def follow(self, place: int) -> None:
@@ -78,7 +83,8 @@ class Tracker:
         frame = self.frames[index]
         back = -1 if index > self.start else 1
         resting = {
-            name: _offsets(layer, index + back if place else None) for name, layer in self.tracked.items()
+            name: _offsets(layer, index + back) if place else self._first(name, layer)
+            for name, layer in self.tracked.items()
         }
         found = dict(resting)
         if place and self.start not in (index, index + back):
@@ -87,12 +93,16 @@ class Tracker:
                 found[name] = resting[name] + _FOLLOWING * (resting[name] - before)
         pose = self.poses(frame)
         views = [self.views.view(frame, camera) for camera in self.views.take.training_cameras]
-        rounds = self.config.rounds
+        rounds, beside = self.config.rounds, self.begun.residuals(frame) if self.begun else {}
         for turn in range(rounds):
-            change = self._solve(pose, views, found, resting, fine=turn == rounds - 1)
+            change = self._solve(pose, views, found, resting, beside, fine=turn == rounds - 1)
             found = {name: found[name] + change[name] for name in found}
         for name, layer in self.tracked.items():
             self._store(layer, index, found[name])
+
+    def _first(self, name: str, layer: _Tracked) -> Floats:
+        """Cells (M, 3) m that the first frame starts from: none, or what the layer brings."""
+        return self.beginning.get(name, np.zeros((len(layer.cells.where), 3)))
 
     def _solve(
         self,
@@ -100,10 +110,11 @@ class Tracker:
         views: list[View],
         found: dict[str, Floats],
         resting: dict[str, Floats],
+        beside: dict[str, Tensor],
         fine: bool,
     ) -> dict[str, Floats]:
         """One Gauss-Newton step: change of every layer's cells (M, 3) m."""
-        posed, composite, places = self._composite(pose, found)
+        posed, composite, places = self._composite(pose, found, beside)
         carried = {
             name: blended(layer.model.maps.skin_weights, pose.transforms)[:, :, :3].double().cpu().numpy()
             for name, layer in self.tracked.items()
@@ -140,12 +151,13 @@ class Tracker:
         }
 
     def _composite(
-        self, pose: FramePose, found: dict[str, Floats]
+        self, pose: FramePose, found: dict[str, Floats], beside: dict[str, Tensor]
     ) -> tuple[dict[str, PosedGaussians], Composite, dict[str, slice]]:
         """All layers in a pose with these offsets, by name and together, and which Gaussians are whose."""
         posed, places, first = {}, {}, 0
         for name, model in self.models.items():
-            attributes = model.attributes(model.base_color.new_zeros(len(model.maps), 14))
+            nothing = model.base_color.new_zeros(len(model.maps), 14)
+            attributes = model.attributes(beside.get(name, nothing))
             if name in found:
                 moved = torch.from_numpy(self.tracked[name].cells.basis @ found[name]).to(attributes.offsets)
                 attributes = replace(attributes, offsets=attributes.offsets + moved)
@@ -191,24 +203,6 @@ def has_anchors(model: AvatarModel) -> bool:
     return getattr(model, "anchors", None) is not None
 
 
-def conjugate_gradients(applied: Any, right: Floats, steps: int) -> Floats:
-    """Solve A x = right (M, 3) for a symmetric positive A given as a function, from zero."""
-    found = np.zeros_like(right)
-    rest, along = right.copy(), right.copy()
-    size = first = float((rest * rest).sum())
-    for _ in range(steps):
-        if size <= 1e-10 * first or size == 0.0:
-            break
-        image = applied(along)
-        length = size / float((along * image).sum())
-        found += length * along
-        rest -= length * image
-        smaller = float((rest * rest).sum())
-        along = rest + smaller / size * along
-        size = smaller
-    return found
-
-
 def _tracked(model: Any, cell: int) -> _Tracked:
     height, width = model.anchors.offsets.shape[2:]
     ratio = max(1, round(cell / model.model_config.anchor_cell))
@@ -220,8 +214,6 @@ def _tracked(model: Any, cell: int) -> _Tracked:
     return _Tracked(model, model.anchors, cells, size, found)
 
 
-def _offsets(layer: _Tracked, index: int | None) -> Floats:
-    """Cells (M, 3) m of an anchor; zero for None."""
-    if index is None:
-        return np.zeros((len(layer.cells.where), 3))
+def _offsets(layer: _Tracked, index: int) -> Floats:
+    """Cells (M, 3) m of an anchor."""
     return np.asarray(layer.found[index].double().numpy())

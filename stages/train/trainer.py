@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 
@@ -23,6 +23,7 @@ from stages.shared.errors import BadData
 from stages.shared.losses.crops import face_box, face_centre
 from stages.shared.losses.perceptual import Perceptual
 from stages.train import schedule
+from stages.train.begin import Beginnings, own_motion
 from stages.train.config import LossWeights, TrainConfig
 from stages.train.data import StepChoice, TrainingViews, choose
 from stages.train.objective import Lens, Surfaces, picture_terms, surface_terms, weighted
@@ -62,6 +63,7 @@ class Trainer:
         config: of the run. models: name to model, inner to outer, on `device`. views: training pictures.
         device: where everything is computed. perceptual: metric of the LPIPS terms; None: without.
         template_frame: the frame that the template was taken from.
+        known: name to the model as it was, of layers that begin where another training ended.
     """
 
     def __init__(
@@ -72,12 +74,13 @@ class Trainer:
         device: torch.device,
         perceptual: Perceptual | None = None,
         template_frame: int = 0,
+        known: Mapping[str, AvatarModel] | None = None,
     ) -> None:
         if not any(has_anchors(model) for model in models.values()):  # nothing that could be followed
             config = replace(config, track=replace(config.track, frame_step=0))
         self.config, self.models, self.views, self.device = config, models, views, device
         # One network pass serves all cameras of a step, unless colours depend on the viewing direction.
-        self.one_pass = not config.model.view_conditioning
+        self.one_pass = not any(model.model_config.view_conditioning for model in models.values())
         self.perceptual = perceptual.to(device) if perceptual is not None else None
         self.frames = views.frames(config.frame_step)
         self.cameras = views.take.training_cameras
@@ -86,11 +89,22 @@ class Trainer:
         self.optimizer = _adam(config, models)
         self._poses: dict[int, FramePose] = {}
         self.anchor_frames = views.frames(config.track.frame_step) if config.track.frame_step else self.frames
-        for model in models.values():
-            model.fit_input(*self._local_poses(self.anchor_frames))
+        self.beginnings = Beginnings(known or {}, models, views.poses, self.pose)
+        for name, model in models.items():
+            if name not in self.beginnings.known:
+                model.fit_input(*self._local_poses(self.anchor_frames))
+        self.beginnings.place_anchors(self.anchor_frames, tracked=bool(config.track.frame_step))
         near = np.abs(np.array(self.anchor_frames) - template_frame)
         self.tracker = (
-            Tracker(config.track, models, views, self.anchor_frames, int(near.argmin()), self.pose)
+            Tracker(
+                config.track,
+                models,
+                views,
+                self.anchor_frames,
+                int(near.argmin()),
+                self.pose,
+                self.beginnings,
+            )
             if config.track.frame_step
             else None
         )
@@ -99,6 +113,8 @@ class Trainer:
         """Learn the template's own frame, from where the garments are then followed."""
         assert self.tracker is not None
         frame, config = self.anchor_frames[self.tracker.start], self.config
+        with torch.no_grad():
+            known = {n: layer for n, layer in self.posed(frame).items() if n in self.beginnings.known}
         warm_up(
             self.models,
             self.views,
@@ -109,12 +125,14 @@ class Trainer:
             config.track.warm_up,
             config.views_per_step,
             config.seed,
+            known,
         )
 
     def finish(self) -> None:
         """What can only be known when training is over."""
-        for model in self.models.values():
-            model.fit_mean(*self._local_poses(self.frames))
+        for name, model in self.models.items():
+            if name not in self.beginnings.frozen:
+                model.fit_mean(*self._local_poses(self.frames))
 
     def step(self, number: int, elapsed: float) -> StepReport:
         """Learn from one frame, `elapsed` s into the run. A step that is not finite changes nothing."""
@@ -147,8 +165,9 @@ class Trainer:
         posed = {}
         for name, model in self.models.items():
             cosine = cosines[name] if cosines else None
-            residual = model.residual(pose.local_transforms, cosine, pose.motion)
-            if offsets_only:
+            motion = own_motion(model, self.views.poses, frame, pose)
+            residual = model.residual(pose.local_transforms, cosine, motion)
+            if offsets_only and name not in self.beginnings.known:
                 residual = residual * _OFFSETS.to(residual)
             posed[name] = pose_layer(model.maps, model.attributes(residual), pose.transforms, pose.betas)
         return posed
@@ -192,7 +211,7 @@ class Trainer:
 
     def _cosines(self, choice: StepChoice, camera: str) -> dict[str, Tensor] | None:
         """Slightly disturbed viewing cosines of every layer, when the models want them."""
-        if not self.config.model.view_conditioning:
+        if self.one_pass:
             return None
         pose, place = self.pose(choice.frame), self.views.take.camera(camera).centre
         noise = np.random.default_rng([self.config.seed, 3, choice.step]).normal(0.0, _EYE_NOISE, 3)
@@ -250,7 +269,8 @@ class _Clock:
 def _named_parameters(models: dict[str, AvatarModel]) -> Iterator[tuple[str, torch.nn.Parameter]]:
     for layer, model in models.items():
         for name, parameter in model.named_parameters():
-            yield f"{layer}.{name}", parameter
+            if parameter.requires_grad:
+                yield f"{layer}.{name}", parameter
 
 
 def _adam(config: TrainConfig, models: dict[str, AvatarModel]) -> torch.optim.Adam:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 import torch
 
 from stages.shared.avatar.compose import compose
 from stages.shared.avatar.decoder import AvatarModel
-from stages.shared.avatar.deform import pose_layer
+from stages.shared.avatar.deform import PosedGaussians, pose_layer
 from stages.shared.avatar.pose import FramePose
 from stages.train.config import LearningRates, LossWeights
 from stages.train.data import TrainingViews
@@ -30,13 +31,16 @@ def warm_up(
     steps: int,
     views_per_step: int,
     seed: int,
+    known: Mapping[str, PosedGaussians],
 ) -> None:
     """Fit the free attributes of all layers to one frame, without what depends on the pose.
 
     Discs of projected colours are blurred and a little too large; after some dozen steps with large rates
-    they look like the frame. `weights`: of the picture terms; flow and LPIPS are not used.
+    they look like the frame. `weights`: of the picture terms; flow and LPIPS are not used. `known`: layers
+    in that frame that were learned before, and stay as they are.
     """
-    free = [(name, p) for model in models.values() for name, p in model.base_parameters().items()]
+    new = {name: model for name, model in models.items() if name not in known}
+    free = [(name, p) for model in new.values() for name, p in model.base_parameters().items()]
     if not free or steps <= 0:
         return
     groups = [{"params": [parameter], "start_rate": getattr(_RATES, name)} for name, parameter in free]
@@ -57,9 +61,9 @@ def warm_up(
                 pose.transforms,
                 pose.betas,
             )
-            for name, model in models.items()
+            for name, model in new.items()
         }
-        composite = compose(posed)
+        composite = compose({name: posed[name] if name in posed else known[name] for name in models})
         losses = []
         for number in chosen:
             view = views.view(frame, cameras[number]).to(composite.means.device)

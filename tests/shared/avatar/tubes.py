@@ -16,11 +16,13 @@ def tube_arrays(
     low: float = -0.3,
     high: float = 0.3,
     color: tuple[float, float, float] = (0.8, 0.4, 0.2),
+    pitch: float = PITCH,
+    grid: int = GRID,
 ) -> dict[str, np.ndarray]:
     """Arrays of a bake-maps layer: a tube about the y axis, twice as wide (x) as deep (z)."""
-    rows, cols = np.meshgrid(np.arange(GRID), np.arange(GRID), indexing="ij")
-    x = ((cols + 0.5) - GRID / 2) * PITCH
-    y = -((rows + 0.5) - GRID / 2) * PITCH
+    rows, cols = np.meshgrid(np.arange(grid), np.arange(grid), indexing="ij")
+    x = ((cols + 0.5) - grid / 2) * pitch
+    y = -((rows + 0.5) - grid / 2) * pitch
     inside = (np.abs(x) < radius) & (y > low) & (y < high)
     depth = 0.5 * np.sqrt(np.maximum(radius**2 - x**2, 0))
     texels, positions, normals = [], [], []
@@ -33,7 +35,7 @@ def tube_arrays(
         normals.append(normal / np.linalg.norm(normal, axis=1, keepdims=True))
     texel, position, normal = np.concatenate(texels), np.concatenate(positions), np.concatenate(normals)
     count = len(texel)
-    index = np.full((2, GRID + 2, GRID + 2), -1)
+    index = np.full((2, grid + 2, grid + 2), -1)
     index[texel[:, 0], texel[:, 1] + 1, texel[:, 2] + 1] = np.arange(count)
     steps = ((-1, 0), (0, 1), (1, 0), (0, -1))
     neighbours = np.stack(
@@ -60,7 +62,7 @@ def tube_arrays(
         "shape_directions": directions.astype(np.float32),
         "neighbours": neighbours.astype(np.int32),
         "seams": seams.astype(np.int32),
-        "spacing": np.full(count, PITCH * 0.6, np.float32),
+        "spacing": np.full(count, pitch * 0.6, np.float32),
         "colors": (np.array(color) * (0.4 + 0.6 * stripes)).astype(np.float32),
         "color_confidence": np.ones(count, np.float32),
     }

@@ -24,7 +24,7 @@ from tests.shared.avatar.tubes import CENTRE, GRID, PITCH, tube_arrays
 
 SIZE = 40
 FRAMES = 4
-LABEL_OF_LAYER = (0, 3)  # body skin, upper
+LABEL_OF_LAYER = {"body": 0, "upper": 3, "outer": 5}  # ids of label images; skin stands for the body
 TINY = replace(
     PRESETS["tiny"],
     steps=12,
@@ -69,12 +69,21 @@ def cameras() -> list[Camera]:
     return found
 
 
-def make_subject(folder: Path) -> Path:
-    """Capture with rendered images and a workspace with finished earlier stages; returns the workspace."""
-    body, motion = embedded_body(), poses()
-    arrays = layers()
+def make_subject(
+    folder: Path,
+    arrays: dict[str, dict[str, np.ndarray]] | None = None,
+    pitch: float = PITCH,
+    grid: int = GRID,
+    body: BodyModel | None = None,
+) -> Path:
+    """Capture with rendered images and a workspace with finished earlier stages; returns the workspace.
+
+    `arrays`: baked layers on a grid of `pitch` m; those of `layers` where there are none.
+    """
+    body, motion = body or embedded_body(), poses()
+    arrays = arrays or layers()
     truth = {
-        name: LayerModel(LayerMaps.from_arrays(name, values, PITCH, CENTRE, GRID), TINY.model)
+        name: LayerModel(LayerMaps.from_arrays(name, values, pitch, CENTRE, grid), TINY.model)
         for name, values in arrays.items()
     }
     with torch.no_grad():
@@ -88,7 +97,8 @@ def make_subject(folder: Path) -> Path:
             for camera in cameras():
                 image, mask, labels = _picture(truth, body, motion, frame, camera)
                 take.view(camera.name, frame, image, mask, labels, jpeg=False)
-    return _workspace(folder / "subject", capture, body, motion, arrays)
+    about = {"pitch": pitch, "centre": list(CENTRE), "grid_size": grid}
+    return _workspace(folder / "subject", capture, body, motion, arrays, about)
 
 
 def _picture(
@@ -96,7 +106,7 @@ def _picture(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     seen = look(truth, body, motion, frame, camera)
     mask = (seen.alpha > 0.5).numpy()
-    ids = np.array(LABEL_OF_LAYER, np.uint8)[seen.labels.argmax(dim=2).numpy()]
+    ids = np.array([LABEL_OF_LAYER[name] for name in truth], np.uint8)[seen.labels.argmax(dim=2).numpy()]
     image = np.clip(seen.color.numpy() * 255, 0, 255).round().astype(np.uint8)
     return image, mask.astype(np.uint8) * 255, np.where(mask, ids, 255).astype(np.uint8)
 
@@ -116,7 +126,12 @@ def look(
 
 
 def _workspace(
-    root: Path, capture: Path, body: BodyModel, motion: Poses, arrays: dict[str, dict[str, np.ndarray]]
+    root: Path,
+    capture: Path,
+    body: BodyModel,
+    motion: Poses,
+    arrays: dict[str, dict[str, np.ndarray]],
+    about: dict[str, object],
 ) -> Path:
     workspace = Workspace(root)
     workspace.save_settings(capture=capture, capture_format="native")
@@ -127,5 +142,5 @@ def _workspace(
     with workspace.build(BAKE_MAPS, {}, {"register-template": registered.artifact}) as baked:
         for name, values in arrays.items():
             baked.write_arrays(name, values)
-        baked.summary(layers=list(arrays), pitch=PITCH, centre=list(CENTRE), grid_size=GRID)
+        baked.summary(layers=list(arrays), **about)
     return root

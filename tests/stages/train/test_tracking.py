@@ -22,7 +22,8 @@ from stages.train.cells import Cells
 from stages.train.config import TrackConfig
 from stages.train.cost import affordable_tracking
 from stages.train.displacement import Equations, motion
-from stages.train.tracking import Tracker, conjugate_gradients
+from stages.train.solve import conjugate_gradients
+from stages.train.tracking import Tracker
 from tests.shared.avatar.tubes import CENTRE, GRID, PITCH, tube_arrays
 from tests.stages.train.scene import TINY, make_subject, tiny
 

@@ -1,0 +1,186 @@
+"""Layers that begin where another subject's training ended: the inner outfit of the same person.
+
+Outer garments are learned over a body that is known. The body is frozen; the other layers that both subjects
+have go on from what the inner outfit taught them, and all garments learn together (Gaussian Wardrobe: freeze
+F_b, finetune F_u, F_ℓ, F_o). A layer comes with the maps that it was learned on, whatever grid they are on:
+nothing is resampled, and the body alone is the other subject's to the bit. Canonical space without shape is
+what both share.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from stages.pipeline import BAKE_MAPS, REGISTER_TEMPLATE, TRAIN
+from stages.shared.artifacts import Artifact, ExternalFiles, Workspace
+from stages.shared.artifacts.workspace import CURRENT_NAME
+from stages.shared.avatar.maps import LayerMaps
+from stages.shared.body import BodyModel, shaped_vertices
+from stages.shared.capture import LAYERS
+from stages.shared.errors import MissingInput, UsageProblem
+from stages.shared.outfit.coverage import same_grid
+from stages.shared.outfit.layer import WornLayer, layer_of_training
+from stages.shared.poses import load_poses
+from stages.train.config import METHODS, LossWeights, TrainConfig
+
+FROZEN = ("body",)
+INPUT_NAME = "from-subject"
+_SAME_PERSON = 0.01  # m between two fits of one body, mean over the skin
+
+
+@dataclass(frozen=True)
+class Start:
+    """What a run starts from beside maps and pictures; empty for nothing.
+
+    Attributes:
+        layers: name to the layer as the other subject learned it, inner to outer.
+        files: what was read of the other subject. warnings: sentences for people.
+    """
+
+    layers: dict[str, WornLayer] = field(default_factory=dict)
+    files: ExternalFiles | None = None
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def frozen(self) -> tuple[str, ...]:
+        """Names of the layers that are not learned any more."""
+        return tuple(name for name in self.layers if name in FROZEN)
+
+    @property
+    def grids(self) -> dict[str, dict[str, Any]]:
+        """The grid of every layer's own maps, as bake-maps notes it."""
+        return {
+            name: {
+                "pitch": worn.maps.pitch,
+                "centre": list(worn.maps.centre),
+                "grid_size": worn.maps.grid_size,
+            }
+            for name, worn in self.layers.items()
+        }
+
+    def weights(self, weights: LossWeights) -> LossWeights:
+        """The weights without the terms that only the body could answer, where it is frozen."""
+        if not self.frozen:
+            return weights
+        return replace(weights, silhouette=0.0, opacity=0.0, covered_skin=0.0, face=0.0)
+
+
+def read_start(
+    other: Path,
+    subject: Workspace,
+    registered: Artifact,
+    maps: dict[str, LayerMaps],
+    config: TrainConfig,
+) -> Start:
+    """The layers of `config.from_layers` (all that both have where it is empty) of a trained subject.
+
+    Arguments:
+        other: its folder. subject: that is to be trained. registered: its register-template artifact.
+        maps: its baked layers.
+
+    Raises:
+        MissingInput: the other subject is not trained, or one of both has no such layer.
+        UsageProblem: another body model, a baseline, the subject itself, nothing left to learn.
+    """
+    if other.resolve() == subject.root.resolve():
+        raise _unusable("A subject cannot start from itself.", other, "Name the subject of the inner outfit.")
+    if config.method != METHODS[0]:
+        raise UsageProblem(
+            f"The baseline {config.method} does not start from layers.",
+            "options --method and --from-subject",
+            "Leave one of them out.",
+        )
+    theirs = Workspace(other)
+    described, baked, trained = (theirs.require(spec) for spec in (REGISTER_TEMPLATE, BAKE_MAPS, TRAIN))
+    if trained.manifest.inputs["bake-maps"].key != baked.key:
+        raise MissingInput(
+            "That subject's maps were made again after its training.", str(other), f"Run: gw train {other}"
+        )
+    body, their_body = (BodyModel.from_arrays(a.arrays("body.safetensors")) for a in (registered, described))
+    if body.digest != their_body.digest:
+        raise _unusable(
+            "That subject was registered with another body model.",
+            other,
+            "Register both with the same one: gw register-template --body-model.",
+        )
+    model = trained.json("model.json")
+    if model.get("method", METHODS[0]) != METHODS[0]:
+        raise _unusable(
+            f"That subject was trained as the baseline {model['method']}.", other, f"Run: gw train {other}"
+        )
+    names = _chosen(config.from_layers, model["layers"], maps, other)
+    layers = {name: layer_of_training(name, baked, trained) for name in names}
+    ours, their_shape = (
+        load_poses(a.file("smpl_params.npz"), b).betas for a, b in ((registered, body), (described, body))
+    )
+    warnings = [*_grid_warnings(layers, maps), *_shape_warnings(body, ours, their_shape)]
+    return Start(layers, _files(theirs, baked, trained, names), tuple(warnings))
+
+
+def _chosen(
+    wanted: tuple[str, ...], theirs: Collection[str], ours: Collection[str], other: Path
+) -> list[str]:
+    """The layers to start from, inner to outer."""
+    names = wanted or tuple({*(name for name in ours if name in theirs), *FROZEN})
+    for name in names:
+        if name not in theirs:
+            raise MissingInput(
+                f"That subject has no trained layer {name!r}.",
+                str(other),
+                "It has: " + ", ".join(theirs) + ".",
+            )
+        if name not in ours:
+            raise MissingInput(
+                f"This subject has no layer {name!r} to start.",
+                "option --from-layers",
+                "Choose of: " + ", ".join(ours) + ".",
+            )
+    if all(name in FROZEN and name in names for name in ours):
+        raise MissingInput(
+            "Nothing is left to learn: this subject has no garment.",
+            "layers of bake-maps",
+            "Leave --from-subject out, or see what gw segment-layers found.",
+        )
+    return [name for name in LAYERS if name in names]
+
+
+def _files(theirs: Workspace, baked: Artifact, trained: Artifact, names: list[str]) -> ExternalFiles:
+    """What was read, and the record that says which training is in use: another one there is noticed."""
+    root = theirs.root.resolve()
+    files = [root / TRAIN.name / CURRENT_NAME, trained.path.resolve() / "model.json"]
+    for name in names:
+        own = f"maps-{name}.safetensors"
+        files.append(trained.path.resolve() / f"{name}.safetensors")
+        files.append(
+            trained.path.resolve() / own if trained.has(own) else baked.path.resolve() / f"{name}.safetensors"
+        )
+    return ExternalFiles(INPUT_NAME, root, files)
+
+
+def _grid_warnings(layers: dict[str, WornLayer], maps: dict[str, LayerMaps]) -> list[str]:
+    different = [name for name, worn in layers.items() if not same_grid(worn.maps, maps[name])]
+    if not different:
+        return []
+    pitch = 1000 * layers[different[0]].maps.pitch
+    return [
+        f"the maps of {', '.join(different)} stay on that subject's grid; try-on cannot tell what layers on "
+        f"another grid cover. gw bake-maps --pitch {pitch:g} puts this subject on the same one"
+    ]
+
+
+def _shape_warnings(body: BodyModel, ours: np.ndarray, theirs: np.ndarray) -> list[str]:
+    first, second = (shaped_vertices(body, torch.from_numpy(betas)) for betas in (ours, theirs))
+    apart = float((first - second).norm(dim=1).mean())
+    if apart <= _SAME_PERSON:
+        return []
+    return [f"the two bodies differ by {1000 * apart:.0f} mm on average: is it the same person?"]
+
+
+def _unusable(what: str, other: Path, fix: str) -> UsageProblem:
+    return UsageProblem(what, f"option --from-subject {other}", fix)

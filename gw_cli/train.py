@@ -47,6 +47,15 @@ def register(app: typer.Typer) -> None:
         image_scale: Annotated[
             float | None, typer.Option(min=0.05, max=1.0, help="Learn from smaller pictures; 1 is full size.")
         ] = None,
+        patch: Annotated[
+            int | None,
+            typer.Option(
+                min=0,
+                metavar="PX",
+                help="Each step sees a window of PX x PX of every picture at full resolution, drawn where "
+                "the person and the edges of garments are; 0 for whole pictures. For large images.",
+            ),
+        ] = None,
         track_step: Annotated[
             int | None,
             typer.Option(
@@ -143,6 +152,7 @@ def register(app: typer.Typer) -> None:
             "frame_step": frame_step,
             "views_per_step": views_per_step,
             "image_scale": image_scale,
+            "patch": patch,
         }
         config = replace(
             preset_config(PRESETS, preset),

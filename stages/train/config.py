@@ -81,7 +81,8 @@ class TrainConfig:
             then); 0 for no limit.
         frame_step: learn from every so many-th frame. views_per_step: cameras splatted per network pass.
         image_scale: size of the pictures learned from, 1 is the capture's. coarse_scale, coarse_until:
-            smaller pictures up to this share of the run.
+            smaller pictures up to this share of the run. patch: px, side of the window of each picture that
+            a step sees (`stages/train/window.py`); 0 for whole pictures.
         flow_until: share of the run in which the flow term is on, where garments are not tracked.
         stage_two: share of the run after which penetration, smoothing and the face's LPIPS are on.
         rate_end: learning rates end (cosine) at this share of their start.
@@ -105,6 +106,7 @@ class TrainConfig:
     image_scale: float = 1.0
     coarse_scale: float = 0.25
     coarse_until: float = 0.3
+    patch: int = field(default=0, metadata={"said_if_set": True})
     flow_until: float = 0.6
     stage_two: float = 0.2
     rate_end: float = 0.05

@@ -21,6 +21,7 @@ from stages.shared.capture import NO_LABEL, Camera, Take
 from stages.shared.errors import MissingInput
 from stages.train.method import layer_of_label
 from stages.train.outline import mesh_outline
+from stages.train.window import Window
 
 _BACKGROUND, _UNKNOWN = 250, 255
 _MASK_THRESHOLD = 127
@@ -104,8 +105,8 @@ class TrainingViews:
             )
         return self.take.frames[::step]
 
-    def view(self, frame: int, camera: str, scale: float = 1.0) -> View:
-        """One view at `scale` times its resolution."""
+    def view(self, frame: int, camera: str, scale: float = 1.0, window: Window | None = None) -> View:
+        """One view at `scale` times its resolution, or a window of it."""
         crop = self._crop(frame, camera)
         seen_by = crop.camera if scale == 1.0 else crop.camera.scaled(scale)
         size = (seen_by.width, seen_by.height)
@@ -119,6 +120,10 @@ class TrainingViews:
             inside = cv2.resize(crop.mask, size, interpolation=cv2.INTER_AREA) > _MASK_THRESHOLD
             layer = cv2.resize(layer, size, interpolation=cv2.INTER_NEAREST)
         valid = _edge(inside) == 0
+        if window is not None:
+            box = left, top, right, bottom = window.box(layer, _BACKGROUND)
+            seen_by, part = seen_by.crop(box), (slice(top, bottom), slice(left, right))
+            image, layer, outline, inside, valid = (a[part] for a in (image, layer, outline, inside, valid))
         labels = np.stack([layer == index for index in range(len(self.layers))], axis=2)
         return View(
             camera=seen_by,
@@ -128,7 +133,7 @@ class TrainingViews:
             valid=torch.from_numpy(valid.astype(np.float32)),
             labels=torch.from_numpy(labels.astype(np.float32)),
             known=torch.from_numpy((valid & (layer != _UNKNOWN)).astype(np.float32)),
-            outline=torch.from_numpy(outline),
+            outline=torch.from_numpy(np.ascontiguousarray(outline)),
         )
 
     def _crop(self, frame: int, camera: str) -> _Crop:

@@ -30,6 +30,7 @@ from stages.shared.capture import LAYER_OF_LABEL, LAYERS
 from stages.shared.errors import MissingInput, UsageProblem
 from stages.train.ablation import ablated
 from stages.train.config import METHODS, TrainConfig
+from stages.train.window import SMALLEST
 
 WHOLE, CLOTHING = "whole", "clothing"
 _PUBLISHED_OFFSET = 0.005
@@ -62,6 +63,12 @@ def settled(config: TrainConfig) -> TrainConfig:
             f"There is no method {config.method!r}.",
             "option --method",
             "Choose of: " + ", ".join(METHODS) + ".",
+        )
+    if 0 < config.patch < SMALLEST:
+        raise UsageProblem(
+            f"A window of {config.patch} px is too small to learn from.",
+            "option --patch",
+            f"Give at least {SMALLEST}, or 0 for whole pictures.",
         )
     if config.model.decoder not in DECODERS or config.model.networks not in NETWORKS:
         raise UsageProblem(

@@ -29,6 +29,7 @@ from stages.train.data import StepChoice, TrainingViews, choose
 from stages.train.objective import Lens, Surfaces, picture_terms, surface_terms, weighted
 from stages.train.tracking import Tracker, has_anchors
 from stages.train.warm_up import warm_up
+from stages.train.window import Window
 
 _ADAM_EPSILON = 1e-15  # gradients of single Gaussians are tiny; the usual 1e-8 would drown them
 _LATER_KINDS = ("quaternion", "opacity", "scale", "color")  # free attributes that wait for full-size pictures
@@ -186,7 +187,8 @@ class Trainer:
             leaves = _detached(composite)
             for camera, background in group:
                 with clock("data"):
-                    view = self.views.view(choice.frame, camera, scale).to(self.device)
+                    view = self.views.view(choice.frame, camera, scale, self._window(choice, camera))
+                    view = view.to(self.device)
                 with clock("splat"):
                     behind = torch.from_numpy(background).to(self.device)
                     lens = self._lens(choice.frame, view.camera)
@@ -201,6 +203,12 @@ class Trainer:
                 pairs = [(root, seed) for root, seed in pairs if root.requires_grad]
                 torch.autograd.backward([root for root, _ in pairs], [seed for _, seed in pairs])
         return sums
+
+    def _window(self, choice: StepChoice, camera: str) -> Window | None:
+        """The part of a view that a step sees; None for all of it."""
+        if not self.config.patch:
+            return None
+        return Window(self.config.patch, (self.config.seed, 5, choice.step, choice.cameras.index(camera)))
 
     def _lens(self, frame: int, camera: Camera) -> Lens | None:
         """How the perceptual terms look at a view; None without the metric."""

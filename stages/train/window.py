@@ -1,0 +1,70 @@
+"""Windows of large pictures: the part of a view that a step sees at full resolution.
+
+Where a window lies is drawn: half of the probability goes by how much of the person it shows, half by how
+much of the outlines of person and layers. Windows of nothing but background are hardly ever drawn, and the
+places where garments end are seen more often than plain cloth.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.shared.capture.camera import Box
+
+SMALLEST = 32  # px; SSIM's window and optical flow need some room
+_STEPS = 8  # places per side of a window that are told apart
+
+
+@dataclass(frozen=True)
+class Window:
+    """A square window to be drawn: `side` px, and `key`, what the draw is a function of."""
+
+    side: int
+    key: tuple[int, ...]
+
+    def box(self, layer: NDArray[np.uint8], background: int) -> Box:
+        """Where the window lies on a view: left, top, right, bottom; the whole view where that is smaller.
+
+        Arguments:
+            layer: (H, W) ids of layers, `background` where there is none.
+        """
+        height, width = layer.shape
+        places = [_places(length, self.side) for length in (height, width)]
+        inside = (layer != background).astype(np.uint8)
+        shares = [_window_sums(part, *places, self.side) for part in (inside, outlines(layer))]
+        weights = sum(share / total for share in shares if (total := share.sum()) > 0)
+        chances = np.asarray(weights, dtype=np.float64).reshape(-1)
+        if not chances.any():
+            chances = np.ones(len(places[0]) * len(places[1]))
+        drawn = np.random.default_rng(list(self.key)).random() * chances.sum()
+        chosen = min(int(np.searchsorted(np.cumsum(chances), drawn, side="right")), len(chances) - 1)
+        top, left = int(places[0][chosen // len(places[1])]), int(places[1][chosen % len(places[1])])
+        return left, top, min(left + self.side, width), min(top + self.side, height)
+
+
+def outlines(layer: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """(H, W) 1 where a pixel and the one to the right or below belong to different layers."""
+    found = np.zeros(layer.shape, np.uint8)
+    found[:, :-1] |= layer[:, :-1] != layer[:, 1:]
+    found[:-1] |= layer[:-1] != layer[1:]
+    return found
+
+
+def _places(length: int, side: int) -> NDArray[np.int64]:
+    """Where windows may begin on one axis: every `side`/8 px, and as far as they reach."""
+    last = max(length - side, 0)
+    return np.unique(np.append(np.arange(0, last, max(side // _STEPS, 1)), last))
+
+
+def _window_sums(
+    part: NDArray[np.uint8], rows: NDArray[np.int64], columns: NDArray[np.int64], side: int
+) -> NDArray[np.float64]:
+    """(R, C) sums of a picture (H, W) over the windows that begin at these rows and columns."""
+    table = cv2.integral(part, sdepth=cv2.CV_64F)
+    low, high = np.minimum(rows + side, part.shape[0]), np.minimum(columns + side, part.shape[1])
+    ends, begins = table[np.ix_(low, high)], table[np.ix_(rows, columns)]
+    return np.asarray(ends - table[np.ix_(rows, high)] - table[np.ix_(low, columns)] + begins)

@@ -1,0 +1,184 @@
+"""Every file, function and heading that README and docs name is there."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import itertools
+import operator
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from stages.train.config import PRESETS
+from tests.docs.pages import PAGES, REPOSITORY
+
+OURS = ("stages", "gw_cli", "tests", "docs", ".ci")
+FILES = {
+    path.relative_to(REPOSITORY).as_posix(): path
+    for folder in OURS
+    for path in (REPOSITORY / folder).rglob("*")
+    if path.is_file() and "__pycache__" not in path.parts
+}
+# Endings of files that users have, not of what programs are made of.
+USERS = (
+    "json",
+    "jsonl",
+    "npz",
+    "npy",
+    "png",
+    "mp4",
+    "webm",
+    "ply",
+    "safetensors",
+    "txt",
+    "md",
+    "html",
+    "pkl",
+)
+# Of other programs, and where a letter stands for a number.
+FOREIGN = ("http.server", "vX.Y.Z", "features.N.weight", "features.N.bias")
+
+
+def prose(page: Path) -> str:
+    """A page without its fenced blocks."""
+    return re.sub(r"^```.*?^```", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
+
+
+def marked(page: Path) -> list[str]:
+    """What stands between backticks in sentences and tables."""
+    return re.findall(r"`([^`\n]+)`", prose(page))
+
+
+def alternatives(path: str) -> Iterator[str]:
+    """a/{b,c}/d -> a/b/d, a/c/d"""
+    choices = [
+        part[1:-1].split(",") if part[:1] == "{" else [part] for part in re.split(r"(\{[^}]*\})", path)
+    ]
+    return ("".join(words) for words in itertools.product(*choices))
+
+
+def is_there(path: str) -> bool:
+    """A path from the repository's root, or the end of one that is ours."""
+    path = path.rstrip("/*").rstrip("/")
+    return (REPOSITORY / path).exists() or any(name.endswith(f"/{path}") for name in FILES)
+
+
+def defined(module: str, name: str) -> bool:
+    """Whether some module of that (last) name defines a function, class or constant of that name."""
+    for known, path in FILES.items():
+        if known.endswith(f"/{module}.py"):
+            for node in ast.walk(ast.parse(path.read_text())):
+                if getattr(node, "name", None) == name:
+                    return True
+    return False
+
+
+def paths_named() -> list[tuple[str, str]]:
+    found = []
+    for page in PAGES:
+        for word in marked(page):
+            if re.fullmatch(r"[\w.*{},/-]+", word) and (
+                word.endswith(".py") or (word.split("/")[0] in OURS and "/" in word)
+            ):
+                found.append((page.name, word))
+    return found
+
+
+def dotted_named() -> list[tuple[str, str]]:
+    return [
+        (page.name, word)
+        for page in PAGES
+        for word in marked(page)
+        if re.fullmatch(r"[a-z_]\w*(\.[A-Za-z_]\w*)+", word)
+        and word.rsplit(".", 1)[1] not in USERS
+        and word not in FOREIGN
+        and not (word.endswith(".py"))
+    ]
+
+
+def test_there_is_something_to_look_at() -> None:
+    assert len(paths_named()) > 60 and len(dotted_named()) > 8
+
+
+@pytest.mark.parametrize(("page", "path"), sorted(set(paths_named())))
+def test_a_path_is_there(page: str, path: str) -> None:
+    assert all(is_there(one) for one in alternatives(path)), f"{page} names {path}"
+
+
+def importable(name: str) -> bool:
+    """Whether a full name leads to a module, or to something in one."""
+    parts = name.split(".")
+    for count in range(len(parts), 0, -1):
+        try:
+            found = importlib.import_module(".".join(parts[:count]))
+        except ModuleNotFoundError:
+            continue
+        return all(hasattr(found, part) for part in parts[count:])
+    return False
+
+
+def is_setting(name: str) -> bool:
+    """Whether a name leads to a field of the training's configuration."""
+    try:
+        operator.attrgetter(name)(PRESETS["draft"])
+    except AttributeError:
+        return False
+    return True
+
+
+@pytest.mark.parametrize(("page", "name"), sorted(set(dotted_named())))
+def test_a_name_is_there(page: str, name: str) -> None:
+    """Full names are imported; `module.function` is looked for in every module of that name."""
+    module, _, last = name.rpartition(".")
+    found = importable(name) if name.startswith("stages.") else is_setting(name) or defined(module, last)
+    assert found, f"{page} names {name}"
+
+
+def test_what_is_gone_is_missed() -> None:
+    assert is_there("stages/train/config.py") and is_there("kernels/blend.py") and is_there("stages/shared/*")
+    assert not is_there("stages/train/konfig.py") and not is_there("blendet.py")
+    assert defined("kinematics", "skin") and not defined("kinematics", "skinned")
+    assert importable("stages.shared.finite.finite") and not importable("stages.shared.finite.infinite")
+    assert is_setting("model.networks") and not is_setting("model.network")
+    assert list(alternatives("a/{b,c}/d")) == ["a/b/d", "a/c/d"]
+
+
+def heading_anchors(page: Path) -> set[str]:
+    """Anchors that a page's headings get: lower case, spaces to dashes, the rest left out."""
+    return {
+        re.sub(r"[^\w -]", "", title.strip().lower()).replace(" ", "-")
+        for title in re.findall(r"^#+ (.+)$", page.read_text(), re.MULTILINE)
+    }
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)\s]+)\)", prose(page)):
+        if target.startswith(("http://", "https://")):
+            continue
+        place, _, anchor = target.partition("#")
+        file = (page.parent / place).resolve() if place else page
+        assert file.exists(), f"{page.name} leads to {target}"
+        if anchor:
+            assert anchor in heading_anchors(file), f"{page.name} leads to {target}"
+
+
+def test_every_page_can_be_found_from_the_readme() -> None:
+    readme = (REPOSITORY / "README.md").read_text()
+    for page in (REPOSITORY / "docs").glob("*.md"):
+        assert f"docs/{page.name}" in readme, page.name
+
+
+def test_troubleshooting_knows_what_the_program_says() -> None:
+    """Messages that are quoted stand in the sources, but for capitals."""
+    programs = [path for name, path in FILES.items() if re.match(r"(stages|gw_cli)/.*\.py$", name)]
+    sources = re.sub(r'"\s*f?"', "", " ".join(path.read_text() for path in programs)).lower()
+    table = (REPOSITORY / "docs/troubleshooting.md").read_text()
+    rows = [line.split("|")[1] for line in table.splitlines() if line.startswith("| ")]
+    quoted = [text for row in rows for text in re.findall(r"\*([^*]+)\*", row)]
+    assert len(quoted) >= 4
+    for text in quoted:
+        assert text.lower() in sources, text

@@ -1,0 +1,106 @@
+"""A folder in which everything stands that the documentation's commands name, and how they are run there."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+from pathlib import Path
+
+import numpy as np
+from typer.testing import CliRunner
+
+from gw_cli.app import app
+from stages.bench_tradeoff.config import BenchTradeoffConfig
+from stages.bench_tradeoff.front import OperatingPoint
+from stages.bench_tradeoff.stage import write_results
+from stages.pipeline import TRAIN
+from stages.shared.artifacts import Workspace
+from stages.shared.body import Poses
+from tests.docs.pages import REPOSITORY, blocks
+from tests.shared.poses.test_bvh import motion as bvh_motion
+from tests.shared.poses.test_bvh import write as write_bvh
+
+SUBJECTS = ("SUBJECT", "SUBJECT_A", "SUBJECT_B", "anna")
+BUNDLES = {"body": ("body", "anna"), "lower": ("skirt",), "upper": ("shirt",)}
+MOTIONS = ("motion", "walk", "dance", "run", "fit")
+# Smaller than anybody would want it; the last value of an option is the one that counts.
+SMALL = {
+    "export-garment": "--preset tiny",
+    "tryon": "--preset tiny --frames 0:2 --width 32 --height 48",
+    "render": "--preset tiny --frames 0:2 --width 32 --height 48",
+    "evaluate": "--preset tiny --cameras 1",
+    "wardrobe outfits": "--width 24 --height 32",
+    "bench paper": "--cameras 1 --test-frame-step 2",
+}
+
+
+def furnish(folder: Path, subject: Path, capture: Path, bundles: Path, poses: Poses) -> None:
+    """Give everything the names that the documentation has for it.
+
+    Arguments:
+        subject: a trained one. capture: its. bundles: folder of its body.gwg, lower.gwg and upper.gwg.
+    """
+    shutil.copytree(capture, folder / "CAPTURE")
+    for name in SUBJECTS:
+        shutil.copytree(subject, folder / name)
+        Workspace(folder / name).save_settings(capture=folder / "CAPTURE")
+    (folder / "wardrobe").mkdir()
+    for layer, names in BUNDLES.items():
+        shutil.copy(bundles / f"{layer}.gwg", folder / "wardrobe")
+        for name in names:
+            shutil.copy(bundles / f"{layer}.gwg", folder / f"{name}.gwg")
+    for name in MOTIONS:
+        poses.save(folder / f"{name}.npz")
+    angles, roots = bvh_motion(3)
+    write_bvh(folder / "walk.bvh", angles, roots)
+    np.savez(
+        folder / "walk_poses.npz", poses=np.zeros((6, 156)), trans=np.zeros((6, 3)), mocap_framerate=120.0
+    )
+    pictures = next((capture / "takes").glob("*/rgb/*")), next((capture / "takes").glob("*/masks/*"))
+    for name, source in (("renders", pictures[0]), ("photos", pictures[0]), ("masks", pictures[1])):
+        shutil.copytree(source, folder / name)
+    (json_block,) = [block for block in blocks(REPOSITORY / "docs/rendering.md") if block.kind == "json"]
+    (folder / "path.json").write_text(json_block.text)
+    _measured(folder / "tradeoff", bundles)
+
+
+def _measured(folder: Path, bundles: Path) -> None:
+    """A folder as `gw bench tradeoff` leaves it, with one operating point."""
+    scores = {"psnr_foreground": 17.0, "ssim_foreground": 0.8, "miou": 0.9, "sharpness": 0.5}
+    point = OperatingPoint(
+        name="one", pitch=6.5, decoder="as trained", gaussians=900, **scores, novel_pose=scores,
+        frames_per_second=30.0, training_minutes=5.0, bundle_bytes=10**6, peak_bytes=10**8,
+    )  # fmt: skip
+    shutil.copytree(bundles, folder / "points" / "one")
+    write_results(folder, "subject", [point], BenchTradeoffConfig())
+
+
+def parts(line: str, folder: Path) -> list[list[str]]:
+    """Words after `gw` of every command in a line, with what stands for something put in its place."""
+    found = []
+    for part in line.split("&&"):
+        words = shlex.split(part)
+        assert words[0] == "gw", line
+        found.append([_in_place(word, words[1], folder) for word in words[1:]])
+    return found
+
+
+def _in_place(word: str, command: str, folder: Path) -> str:
+    """OUT is a folder of the command's own; a key of a training is one of those that are there."""
+    if word == "OUT":
+        return f"OUT-{command}"
+    if re.fullmatch(r"[0-9a-f]{6}", word):
+        return Workspace(folder / "SUBJECT").require(TRAIN).key[:6]
+    return word
+
+
+def name_of(words: list[str]) -> str:
+    """ "tryon", "bench paper" and so on."""
+    return " ".join(words[: 2 if words[0] in ("bench", "wardrobe") else 1])
+
+
+def run(words: list[str]) -> None:
+    """Run a command here, in this process; a failure shows what it said."""
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0, f"gw {shlex.join(words)}: {done.exit_code} {done.stderr} {done.exception!r}"

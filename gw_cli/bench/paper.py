@@ -38,9 +38,10 @@ def register(bench: typer.Typer) -> None:
     ) -> None:
         """Print the paper's three tables with your own trainings beside the published values.
 
-        Every training of a subject is a row: methods of gw train --method, ablations of gw train --without.
-        Train them with the same preset and the same --minutes. Scores leave out the first test frame, often
-        the pose of the template. What is evaluated already is not done again.
+        Every training of a subject is a row: methods of gw train --method, ablations of gw train --without;
+        gw bench curves trains them. Compare those of the same preset and --minutes: they stand together.
+        Scores leave out the first test frame, often the pose of the template. What is evaluated already is
+        not done again.
         """
         from stages.bench_paper.tables import markdown, tables
         from stages.evaluate.config import EvaluateConfig
@@ -95,21 +96,21 @@ def _rows(subject: Path, folder: Path, config: Any, console: Console, weights: P
             if name in summary:
                 scores[name] = summary[name].get("trained_without_first", summary[name]["trained"])
         minutes = seconds / 60 if seconds is not None else None
-        steps = artifact.summary.get("steps")
-        rows.append(OwnRow(subject.resolve().name, artifact.key, method, without, minutes, steps, scores))
+        steps, budget = artifact.summary.get("steps"), artifact.manifest.config.get("minutes")
+        name = subject.resolve().name
+        rows.append(OwnRow(name, artifact.key, method, without, minutes, steps, scores, budget))
     return rows
 
 
 def _evaluated(place: Path, config: Any, weights: Path | None) -> dict[str, Any] | None:
     """What an earlier run with the same settings wrote."""
-    from dataclasses import asdict
-
+    from stages.shared.artifacts.canonical import plain
     from stages.shared.artifacts.external import file_digest
 
     try:
         content = json.loads((place / "evaluation.json").read_bytes())
     except (OSError, ValueError):
         return None
-    same = content.get("config") == json.loads(json.dumps(asdict(config)))
+    same = content.get("config") == plain(config)
     same = same and content.get("perceptual_digest") == (file_digest(weights) if weights else None)
     return content if same else None

@@ -20,6 +20,7 @@ class OwnRow:
     Attributes:
         subject, key, method, without: which training. minutes: it took. steps: it made.
         scores: split to score name to value or None, without the first frame where there are others.
+        budget: minutes that it was given; 0 where steps ended it, None where it is not known.
     """
 
     subject: str
@@ -29,15 +30,20 @@ class OwnRow:
     minutes: float | None
     steps: int | None
     scores: dict[str, dict[str, float | None]] = field(default_factory=dict)
+    budget: float | None = None
 
 
 def tables(rows: list[OwnRow]) -> dict[str, list[dict[str, Any]]]:
     """Rows of the tables "novel_pose", "novel_view" and "ablation": published ones first.
 
-    Ablations are scored on novel poses, where there are some, else on novel views.
+    Rows of one subject and budget stand together. Ablations are scored on novel poses, where there are some,
+    else on novel views; beside them stands the whole method where it had their budget.
     """
+    rows = sorted(rows, key=lambda row: (row.subject, row.budget or 0.0))  # stable: methods keep their order
     full = [row for row in rows if not row.without]
+    budgets = {(row.subject, row.budget) for row in rows if row.without}
     own = [row for row in rows if row.method == "gaussian-wardrobe"]
+    own = [row for row in own if row.without or not budgets or (row.subject, row.budget) in budgets]
     return {
         "novel_pose": [
             *map(_published, NOVEL_POSE),
@@ -51,10 +57,14 @@ def tables(rows: list[OwnRow]) -> dict[str, list[dict[str, Any]]]:
             *map(_published, ABLATION),
             *(
                 _own(row, ("novel_pose", "novel_view"), (*_LABELS, "psnr_foreground", "ssim_foreground"))
-                for row in sorted(own, key=lambda row: (row.subject, not row.without, row.without))
+                for row in sorted(own, key=_ablation_order)
             ),
         ],
     }
+
+
+def _ablation_order(row: OwnRow) -> tuple[str, float, bool, tuple[str, ...]]:
+    return row.subject, row.budget or 0.0, not row.without, row.without
 
 
 def markdown(found: dict[str, list[dict[str, Any]]]) -> str:
@@ -70,12 +80,14 @@ def markdown(found: dict[str, list[dict[str, Any]]]) -> str:
         if name == "ablation":
             scores = [*_LABELS, *(score for score in scores if score not in _LABELS)]
         parts.append(f"### {_TITLES[name]}\n")
-        parts.append("| data | method | without | minutes | " + " | ".join(scores) + " |")
-        parts.append("| --- " * (4 + len(scores)) + "|")
+        parts.append("| data | method | without | training | minutes | " + " | ".join(scores) + " |")
+        parts.append("| --- " * (5 + len(scores)) + "|")
         for row in rows:
-            minutes = "published" if row["published"] else _number(row["minutes"], 1)
+            made = ["published", "–"]
+            if not row["published"]:
+                made = [row["training"][:6], _number(row["minutes"], 1)]
             values = [_number(row["scores"].get(score), _PLACES.get(score, 4)) for score in scores]
-            cells = [row["data"], row["method"], "+".join(row["without"]) or "–", minutes, *values]
+            cells = [row["data"], row["method"], "+".join(row["without"]) or "–", *made, *values]
             parts.append("| " + " | ".join(cells) + " |")
         parts.append("")
     return "\n".join(parts)
@@ -101,6 +113,7 @@ def _own(row: OwnRow, splits: tuple[str, ...], names: tuple[str, ...]) -> dict[s
         "data": row.subject,
         "method": row.method,
         "without": list(row.without),
+        "budget": row.budget,
         "minutes": row.minutes,
         "steps": row.steps,
         "training": row.key,

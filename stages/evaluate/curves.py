@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from stages.evaluate.config import EvaluateConfig
 from stages.evaluate.figure import Curve, Panel, figure
-from stages.evaluate.methods import Method, TrainedMethod
+from stages.evaluate.methods import TrainedMethod
 from stages.evaluate.score import score_views
 from stages.evaluate.views import FrameViews, require_views, views_of
 from stages.pipeline import BAKE_MAPS, REGISTER_TEMPLATE
@@ -22,12 +22,11 @@ from stages.shared.artifacts.files import write_whole
 from stages.shared.body import BodyModel
 from stages.shared.capture.subject import open_subject_capture
 from stages.shared.outfit.outfit import Outfit, outfit_of_training
-from stages.shared.pictures.sheet import chosen, contact_sheet, shrunk
 from stages.shared.report import SILENT
 
-_LARGEST_SIDE = 320
-_SHOWN = {"psnr_foreground": "PSNR of the foreground, dB", "ssim_foreground": "SSIM of the foreground"}
-_MARGIN = 10  # px around the subject
+SHOWN = {"psnr_foreground": "PSNR of the foreground, dB", "ssim_foreground": "SSIM of the foreground"}
+SHOWN_OF_ABLATIONS = {**SHOWN, "miou": "mean IoU of garment labels"}
+_OWN, _LESS = "gaussian-wardrobe", "without "  # how names of curves begin
 
 
 @dataclass(frozen=True)
@@ -79,8 +78,23 @@ class CurveFile:
 
     @property
     def names(self) -> list[str]:
-        """Names of all curves."""
-        return list(dict.fromkeys(point["name"] for point in self.points))
+        """Names of all curves, this project's first."""
+        known = dict.fromkeys(point["name"] for point in self.points)
+        return sorted(known, key=lambda name: not name.startswith(_OWN))
+
+    @property
+    def ablations(self) -> list[str]:
+        """Names of the curves that leave parts out, after those of the whole method with their budgets."""
+        less = [name for name in self.names if name.startswith(_LESS)]
+        return [name for name in self.names if name in {_OWN + budget_of(one) for one in less}] + less
+
+    @property
+    def methods(self) -> list[str]:
+        """All other curves; one of the whole method that only stands beside ablations is not among them."""
+        rest = [name for name in self.names if not name.startswith(_LESS)]
+        others = {budget_of(name) for name in rest if not name.startswith(_OWN)}
+        beside = {name for name in self.ablations if budget_of(name) not in others}
+        return [name for name in rest if name not in beside] or rest
 
     def add(self, point: dict[str, Any]) -> None:
         """Keep a point, and write the file whole."""
@@ -95,14 +109,21 @@ class CurveFile:
         return [point for point in self.points if point["name"] == name]
 
 
-def curve_figure(points: CurveFile, splits: Sequence[str]) -> NDArray[np.uint8]:
-    """PSNR and SSIM of the foreground against minutes, a column per split: (H, W, 3) u8."""
+def budget_of(name: str) -> str:
+    """What a curve's name says of preset, minutes and seed, as " (draft, 20 min)"."""
+    return name[name.index(" (") :] if " (" in name else ""
+
+
+def curve_figure(
+    points: CurveFile, splits: Sequence[str], names: Sequence[str], shown: Mapping[str, str] = SHOWN
+) -> NDArray[np.uint8]:
+    """Scores (`shown`: score to title) of these curves against minutes, a column per split: (H, W, 3) u8."""
     rows = []
-    for score, title in _SHOWN.items():
+    for score, title in shown.items():
         panels = []
         for split in splits:
             curves = []
-            for name in points.names:
+            for name in names:
                 known = [(p["minutes"], p[split][score]) for p in points.of(name) if split in p]
                 curves.append(Curve(name, [(x, y) for x, y in known if y is not None]))
             panels.append(Panel(f"{split.replace('_', ' ')}: {title}", "minutes of training", curves))
@@ -114,30 +135,3 @@ def outfit_of(subject: Path, training: Artifact) -> Outfit:
     """The outfit that a finished training gives."""
     workspace = Workspace(subject)
     return outfit_of_training(workspace.require(REGISTER_TEMPLATE), workspace.require(BAKE_MAPS), training)
-
-
-def side_by_side(views: CurveViews, outfits: Mapping[str, Outfit], pictures: int = 2) -> NDArray[np.uint8]:
-    """Truth and every method in a row, `pictures` rows of every split: (H, W, 3) u8."""
-    methods: dict[str, Method] = {name: TrainedMethod(outfit) for name, outfit in outfits.items()}
-    cells, captions = [], []
-    for split, frames in views.splits.items():
-        for index in chosen(len(frames), pictures):
-            frame = frames[index]
-            camera = frame.cameras[index % len(frame.cameras)]
-            cut = _box(frame.take.mask(camera, frame.frame))
-            cells.append(frame.take.image(camera, frame.frame)[cut])
-            captions.append(f"truth, {split.replace('_', ' ')}, frame {frame.frame}")
-            for name, method in methods.items():
-                method.pose(frame)
-                cells.append(method.render(frame.take.camera(camera))[0][cut])
-                captions.append(name)
-    small = [shrunk(np.ascontiguousarray(cell), _LARGEST_SIDE) for cell in cells]
-    return contact_sheet(small, 1 + len(methods), captions)
-
-
-def _box(mask: NDArray[np.uint8]) -> tuple[slice, slice]:
-    rows, columns = np.flatnonzero((mask > 127).any(axis=1)), np.flatnonzero((mask > 127).any(axis=0))
-    if not len(rows):
-        return slice(None), slice(None)
-    top, left = max(0, rows[0] - _MARGIN), max(0, columns[0] - _MARGIN)
-    return slice(top, rows[-1] + 1 + _MARGIN), slice(left, columns[-1] + 1 + _MARGIN)

@@ -41,9 +41,24 @@ def test_rows_stand_in_the_tables_they_belong_to() -> None:
     assert found["novel_pose"][-1]["split"] is None and found["novel_pose"][-1]["scores"]["psnr"] is None
     assert found["ablation"][-2]["split"] == "novel_view"
     text = markdown(found)
-    assert "| ActorsHQ | GW | – | published | 28.38 | 0.9436 | 0.0397 |" in text
-    assert "| me | gaussian-wardrobe | – | 20.0 | 20.00 | 0.8000 | – |" in text
-    assert "| me | gaussian-wardrobe | sg | – | 0.7000 | 0.8000 | 0.7500 |" in text
+    assert "| ActorsHQ | GW | – | published | – | 28.38 | 0.9436 | 0.0397 |" in text
+    assert "| me | gaussian-wardrobe | – | k1 | 20.0 | 20.00 | 0.8000 | – |" in text
+    assert "| me | gaussian-wardrobe | sg | k3 | – | 0.7000 | 0.8000 | 0.7500 |" in text
+
+
+def test_rows_that_compare_stand_together() -> None:
+    """By subject and budget; the whole method stands beside ablations of its own budget only."""
+    ours, less = "gaussian-wardrobe", (("sg",), ("pe",))
+    rows = [OwnRow("me", f"g{b}", ours, (), b, 1, {}, float(b)) for b in (90, 10, 20)]
+    rows += [OwnRow("me", f"a{b}", "layga", (), b, 1, {}, float(b)) for b in (20,)]
+    rows += [OwnRow("me", f"w{parts[0]}", ours, parts, 10, 1, {}, 10.0) for parts in less]
+    rows += [OwnRow("you", "y", ours, (), 10, 1, {}, 10.0)]
+    found = tables(rows)
+    own = {name: [row["training"] for row in table if not row["published"]] for name, table in found.items()}
+    assert own["novel_pose"] == own["novel_view"] == ["g10", "g20", "a20", "g90", "y"]
+    assert own["ablation"] == ["wpe", "wsg", "g10"]
+    whole = [row["training"] for row in tables(rows[:4])["ablation"] if not row["published"]]
+    assert whole == ["g10", "g20", "g90"], "without any ablation all of them are shown"
 
 
 def test_command_evaluates_every_training_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,9 +11,9 @@ from torch import Tensor
 
 from stages.shared.avatar.compose import Composite
 from stages.shared.capture.camera import Camera
-from stages.shared.capture.labels import NO_LABEL
+from stages.shared.outfit.develop import develop
 from stages.shared.outfit.layer import label_of
-from stages.shared.outfit.penetration import PenetrationConfig, repair
+from stages.shared.outfit.penetration import PenetrationConfig, repair, repair_view
 from stages.shared.splat.api import rasterize, rasterize_layers
 from stages.shared.splat.rendering import Rendering
 from stages.shared.splat.settings import ALPHA_MIN, TRANSMITTANCE_MIN
@@ -30,7 +30,6 @@ class CutOffs:
 
 
 FINE = CutOffs()
-_LABEL_ALPHA = 0.5  # thinner than this counts as background, for labels as for silhouettes
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +92,16 @@ def take_picture(
             )
             nothing = None if penetration is None else np.zeros(tuple(picture.alpha.shape), bool)
             return _shot(picture, composite.layers, repaired=nothing)
+        if not each_layer and penetration is not None and _on_cpu(composite, backend):
+            from stages.shared.splat.cpu_layers import layered_view
+
+            seen = layered_view(
+                composite.means, composite.opacities, composite.features, view, intrinsics, *size,
+                covars=composite.covariances, layer_ids=composite.layer_ids, layers=len(composite.layers),
+                **asdict(cutoffs),
+            )  # fmt: skip
+            repaired = repair_view(seen, composite.layers, penetration)
+            return _shot(repaired.rendering, composite.layers, {}, repaired.mask, repaired.counts)
         layered = rasterize_layers(
             *gaussians,
             *size,
@@ -115,6 +124,10 @@ def take_picture(
     return _shot(repaired.rendering, composite.layers, alone, repaired.mask, repaired.counts)
 
 
+def _on_cpu(composite: Composite, backend: str) -> bool:
+    return backend == "cpu" or (backend == "auto" and not composite.means.is_cuda)
+
+
 def _shot(
     picture: Rendering,
     layers: tuple[str, ...],
@@ -122,20 +135,12 @@ def _shot(
     repaired: NDArray[np.bool_] | None = None,
     counts: dict[str, int] | None = None,
 ) -> Shot:
-    alpha = picture.alpha.numpy()
+    alpha, features = picture.alpha.numpy(), picture.features.numpy()
+    color = np.empty((*alpha.shape, 3), np.float32)
+    depth, labels = np.empty(alpha.shape, np.float32), np.empty(alpha.shape, np.uint8)
     ids = np.array([label_of(name) for name in layers], np.uint8)
-    covered = alpha >= _LABEL_ALPHA
-    labels = np.full(alpha.shape, NO_LABEL, np.uint8)
-    labels[covered] = ids[picture.features.numpy()[covered][:, 3:].argmax(axis=1)]
-    return Shot(
-        _bounded(picture.features[..., :3]),
-        alpha,
-        picture.expected_depth.numpy(),
-        labels,
-        alone or {},
-        repaired,
-        counts or {},
-    )
+    develop(features, alpha, picture.depth.numpy(), ids, color, depth, labels)
+    return Shot(color, alpha, depth, labels, alone or {}, repaired, counts or {})
 
 
 def straight_alpha(color: Floats, alpha: Floats) -> Floats:

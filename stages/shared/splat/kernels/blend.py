@@ -51,7 +51,7 @@ from stages.shared.splat.settings import ALPHA_MAX
 ZERO, ONE = np.float32(0.0), np.float32(1.0)
 AHEAD = 8
 """List entries between asking for a record and using it: about the latency of the third-level cache."""
-_STRETCH = 256
+STRETCH = 256
 """List entries per turn: their records (64 bytes each) and the block lists stay in L1."""
 _SLACK = np.float32(0.01)
 """Added to the reach of a Gaussian in the block test, in units of the exponent, against rounding."""
@@ -70,7 +70,7 @@ def _blocks_inside(lanes, top, left, width, height):
 
 
 @inlined
-def _start_pictures(state, base, sets, planes, lanes, top, left, width, height):
+def start_pictures(state, base, sets, planes, lanes, top, left, width, height):
     """Empty pixels of `sets` pictures; those outside the image are stopped from the beginning."""
     count = len(lanes)
     state[base : base + sets * planes * TILE_PIXELS] = 0.0
@@ -144,7 +144,7 @@ def reached_blocks(records, record, constants, top, left, lanes):
 
 
 @inlined
-def _walk(
+def walk(
     state, base, planes, pixels, members, reached, block, gaussians, begin, end, records, stride, blocks,
     constants, number, top, left, lanes,
 ):  # fmt: skip
@@ -209,8 +209,8 @@ def blend(
     kind = records.dtype
     state = np.empty(first_other + others * other_size, kind)
     live = np.empty(1 + others, np.int64)
-    reached = np.empty(_STRETCH, np.int32)
-    members = np.empty((1 + others, _STRETCH // 64), np.int64)
+    reached = np.empty(STRETCH, np.int32)
+    members = np.empty((1 + others, STRETCH // 64), np.int64)
     pixels = bank(planes, np.empty(size, kind), lanes)
     own_pixels = bank(own_planes, np.empty(own_size, kind), lanes)
     number = numbers(constants, lanes)
@@ -229,11 +229,11 @@ def blend(
                 )  # fmt: skip
             continue
         live[:] = _blocks_inside(lanes, top, left, width, height)
-        _start_pictures(state, 0, 1, length(planes), lanes, top, left, width, height)
+        start_pictures(state, 0, 1, length(planes), lanes, top, left, width, height)
         if alone is not None:
-            _start_pictures(state, first_other, others, length(own_planes), lanes, top, left, width, height)
-        for begin in range(first, last, _STRETCH):
-            end = min(begin + _STRETCH, last)
+            start_pictures(state, first_other, others, length(own_planes), lanes, top, left, width, height)
+        for begin in range(first, last, STRETCH):
+            end = min(begin + STRETCH, last)
             anything = at(live, 0)
             if alone is not None:
                 members[:] = 0
@@ -264,7 +264,7 @@ def blend(
                 block = lowest_bit(union)
                 union &= union - 1
                 bit = 1 << block
-                if at(live, 0) & bit != 0 and not _walk(
+                if at(live, 0) & bit != 0 and not walk(
                     state, block * size, planes, pixels, None, reached, block, gaussians, begin, end, records,
                     stride, blocks, constants, number, top, left, lanes,
                 ):  # fmt: skip
@@ -272,7 +272,7 @@ def blend(
                 if alone is not None:
                     for picture in range(1, 1 + others):
                         place = first_other + (picture - 1) * other_size + block * own_size
-                        if at(live, picture) & bit != 0 and not _walk(
+                        if at(live, picture) & bit != 0 and not walk(
                             state, place, own_planes, own_pixels, members[picture], reached, block, gaussians,
                             begin, end, records, stride, own_blocks, constants, number, top, left, lanes,
                         ):  # fmt: skip

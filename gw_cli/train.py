@@ -130,6 +130,14 @@ def register(app: typer.Typer) -> None:
                 metavar="FILE", help="VGG-16 and LPIPS weights, safetensors; without, no LPIPS terms."
             ),
         ] = None,
+        tensorboard: Annotated[
+            bool,
+            typer.Option(
+                "--tensorboard",
+                help="Also write losses, times and previews to SUBJECT/tensorboard for TensorBoard (extra "
+                "tensorboard).",
+            ),
+        ] = False,
         seed: Seed = 0,
         device: Device = "auto",
         force: Force = False,
@@ -187,6 +195,7 @@ def register(app: typer.Typer) -> None:
             force=force,
             perceptual_weights=perceptual_weights,
             from_subject=from_subject,
+            tensorboard=tensorboard,
         )
         console.result(
             {"artifact": result.artifact.path, **result.summary},

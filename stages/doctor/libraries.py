@@ -11,7 +11,7 @@ CORE = (
     "torch", "numpy", "scipy", "numba", "trimesh", "open3d", "libigl", "pymeshlab",
     "opencv-contrib-python-headless", "safetensors", "roma", "av", "typer", "rich",
 )  # fmt: skip
-OPTIONAL = ("gsplat", "viser", "snakemake", "anny", "tensorboard")
+OPTIONAL = ("gsplat", "anny", "snakemake", "tensorboardX", "atheris")  # the extras of pyproject.toml
 _SECONDS = 120.0
 
 _PROGRAMS = {

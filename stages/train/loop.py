@@ -15,6 +15,7 @@ from stages.shared.artifacts.pictures import encode_png
 from stages.shared.errors import BadData
 from stages.shared.report import Report
 from stages.train import checkpoint, schedule
+from stages.train.board import Board
 from stages.train.checkpoint import METRICS_NAME, RunState
 from stages.train.config import TrainConfig
 from stages.train.preview import preview, preview_views
@@ -28,9 +29,14 @@ _MOST_SKIPPED = 3
 
 
 def learn(
-    trainer: Trainer, progress: Progress, state: RunState, report: Report, watch: Watch | None = None
+    trainer: Trainer,
+    progress: Progress,
+    state: RunState,
+    report: Report,
+    watch: Watch | None = None,
+    board: Board | None = None,
 ) -> None:
-    """Steps until the schedule ends; checkpoints, metrics and previews on the way."""
+    """Steps until the schedule ends; checkpoints, metrics and previews on the way, to a `board` too."""
     config = trainer.config
     shown = preview_views(trainer.views, trainer.frames)
     pending: list[StepReport] = []
@@ -38,7 +44,7 @@ def learn(
         _follow(trainer, progress, state, interrupted, report)
         report.step("train")
         saved = previewed = time.monotonic()
-        _save_preview(trainer, progress, state, shown)
+        _save_preview(trainer, progress, state, shown, board)
         while schedule.progress(config, state.step, state.elapsed) < 1.0:
             started = time.monotonic()
             done = trainer.step(state.step, state.elapsed)
@@ -46,9 +52,7 @@ def learn(
             pending.append(done)
             _count_skipped(trainer, progress, state, done, report)
             if state.step % _STEPS_PER_LINE == 0:
-                progress.append_line(
-                    METRICS_NAME, _line(pending, schedule.image_scale(config, _done(trainer, state)))
-                )
+                _note(progress, _line(pending, schedule.image_scale(config, _done(trainer, state))), board)
                 loss, l1 = _shown(pending)
                 report.progress(*_position(config, state), loss=loss, l1=l1)
                 pending = []
@@ -62,12 +66,18 @@ def learn(
                 report.say(f"checkpoint written at step {state.step}")
                 raise KeyboardInterrupt
             if time.monotonic() - previewed > _PREVIEW_SECONDS:
-                _save_preview(trainer, progress, state, shown)
+                _save_preview(trainer, progress, state, shown, board)
                 previewed = time.monotonic()
     checkpoint.save(progress, trainer, state)
-    _save_preview(trainer, progress, state, shown)
+    _save_preview(trainer, progress, state, shown, board)
     if pending:
-        progress.append_line(METRICS_NAME, _line(pending, schedule.image_scale(config, 1.0)))
+        _note(progress, _line(pending, schedule.image_scale(config, 1.0)), board)
+
+
+def _note(progress: Progress, line: dict[str, Any], board: Board | None) -> None:
+    progress.append_line(METRICS_NAME, line)
+    if board is not None:
+        board.line(line)
 
 
 def _follow(
@@ -164,10 +174,18 @@ def _shown(steps: list[StepReport]) -> tuple[float, float]:
 
 
 def _save_preview(
-    trainer: Trainer, progress: Progress, state: RunState, shown: list[tuple[int, str]]
+    trainer: Trainer,
+    progress: Progress,
+    state: RunState,
+    shown: list[tuple[int, str]],
+    board: Board | None,
 ) -> None:
     (progress.path / "previews").mkdir(exist_ok=True)
-    progress.write_bytes(f"previews/step-{state.step:06d}.png", encode_png(preview(trainer, shown)))
+    picture = preview(trainer, shown)
+    png = encode_png(picture)
+    progress.write_bytes(f"previews/step-{state.step:06d}.png", png)
+    if board is not None:
+        board.picture(png, picture.shape[1], picture.shape[0], state.step)
 
 
 @contextmanager

@@ -16,7 +16,8 @@ Writes:
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -36,8 +37,9 @@ from stages.shared.losses.perceptual import SMALLEST_SIDE, Perceptual
 from stages.shared.plan import Plan
 from stages.shared.poses import load_poses
 from stages.shared.report import SILENT, Report
-from stages.train import checkpoint, cost
+from stages.train import board, checkpoint, cost
 from stages.train.begin import begun_model, known_model
+from stages.train.board import Board
 from stages.train.checkpoint import METRICS_NAME, RunState
 from stages.train.config import TrainConfig
 from stages.train.data import TrainingViews
@@ -58,17 +60,21 @@ def run(
     perceptual_weights: Path | None = None,
     watch: Watch | None = None,
     from_subject: Path | None = None,
+    tensorboard: bool = False,
 ) -> StageResult:
     """Train the layers of a subject; an interrupted run of the same configuration goes on where it stopped.
 
     Without `perceptual_weights` the LPIPS terms are off. `watch` is shown the outfit while it learns. With
-    `from_subject`, layers begin as that trained subject has them, and its body stays as it is.
+    `from_subject`, layers begin as that trained subject has them, and its body stays as it is. With
+    `tensorboard`, metrics and previews also go to `SUBJECT/tensorboard/train-<key>`.
 
     Raises:
         MissingInput: an earlier stage has not run. BadData: three steps in a row were not finite.
         KeyboardInterrupt: after Ctrl-C, with a checkpoint written.
     """
     config = _with_digest(config or TrainConfig(), perceptual_weights)
+    if tensorboard:
+        board.require()
     weights = settled(config).weights
     workspace = Workspace(subject)
     source = open_source(workspace, config, from_subject)
@@ -95,7 +101,8 @@ def run(
             report.say(f"going on from frame {state.tracked} of tracking")
         if watch is not None:
             watch.layer_ids = source.layers(config.method).layer_ids
-        learn(trainer, progress, state, report, watch)
+        with _board(workspace, progress, state, tensorboard, report) as shown:
+            learn(trainer, progress, state, report, watch, shown)
         trainer.finish()
         report.step("write")
         with workspace.build(TRAIN, config, inputs, force=force) as build:
@@ -149,6 +156,23 @@ def prepare(
     """
     source = open_source(Workspace(subject), config, from_subject)
     return _trainer(source, config, _device(config.device), None, change)
+
+
+@contextmanager
+def _board(
+    workspace: Workspace, progress: Progress, state: RunState, wanted: bool, report: Report
+) -> Iterator[Board | None]:
+    """Where metrics go for TensorBoard; outside of the artifact, which they do not belong to."""
+    if not wanted:
+        yield None
+        return
+    folder = workspace.root / "tensorboard" / f"{TRAIN.name}-{progress.path.name.rpartition('-')[2]}"
+    report.say(f"tensorboard --logdir {folder}")
+    opened = Board(folder, state.step)
+    try:
+        yield opened
+    finally:
+        opened.close()
 
 
 def _with_digest(config: TrainConfig, perceptual_weights: Path | None) -> TrainConfig:

@@ -33,16 +33,16 @@ class Window:
             layer: (H, W) ids of layers, `background` where there is none.
         """
         height, width = layer.shape
-        places = [_places(length, self.side) for length in (height, width)]
+        rows, columns = _places(height, self.side), _places(width, self.side)
         inside = (layer != background).astype(np.uint8)
-        shares = [_window_sums(part, *places, self.side) for part in (inside, outlines(layer))]
+        shares = [_window_sums(part, rows, columns, self.side) for part in (inside, outlines(layer))]
         weights = sum(share / total for share in shares if (total := share.sum()) > 0)
         chances = np.asarray(weights, dtype=np.float64).reshape(-1)
         if not chances.any():
-            chances = np.ones(len(places[0]) * len(places[1]))
+            chances = np.ones(len(rows) * len(columns))
         drawn = np.random.default_rng(list(self.key)).random() * chances.sum()
         chosen = min(int(np.searchsorted(np.cumsum(chances), drawn, side="right")), len(chances) - 1)
-        top, left = int(places[0][chosen // len(places[1])]), int(places[1][chosen % len(places[1])])
+        top, left = int(rows[chosen // len(columns)]), int(columns[chosen % len(columns)])
         return left, top, min(left + self.side, width), min(top + self.side, height)
 
 

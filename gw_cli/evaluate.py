@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -9,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from gw_cli.console import Console, command
-from gw_cli.options import DryRun, Json, Preset, names, preset_config
+from gw_cli.options import DryRun, Json, Preset, Shard, names, preset_config, without_shard
 from stages.shared.errors import UsageProblem
 
 
@@ -75,6 +76,7 @@ def register(app: typer.Typer) -> None:
                 "where the path does not name it), or the folder of a capture that has them. Repeatable.",
             ),
         ] = None,
+        shard: Shard = "",
         preset: Preset = "draft",
         dry_run: DryRun = False,
         as_json: Json = False,
@@ -85,6 +87,9 @@ def register(app: typer.Typer) -> None:
         come first; psnr and ssim over the whole picture are the ones that papers print. flip is a perceptual
         difference that needs no weights (0 is equal). With --frames and --truth, rendered frames are scored
         against a capture; with --images and --truth, any folders of pictures.
+
+        A run that was killed goes on where it was. On many machines: the same command with --shard 1/4 to
+        --shard 4/4, and then once without --shard, which puts the parts together.
 
         With --true-meshes (simulated captures have them), vertex_error says how far each garment is from the
         true one, in metres, beside its texels moved by the bones alone: between the surfaces, and material:
@@ -100,7 +105,7 @@ def register(app: typer.Typer) -> None:
             config = replace(config, test_frame_step=test_frame_step)
         if cameras is not None:
             config = replace(config, cameras=cameras)
-        config = replace(config, training=training)
+        config = replace(config, training=training, shard=shard)
         given = sum(source is not None for source in (subject, frames, images))
         if true_meshes and subject is None:
             raise UsageProblem(
@@ -124,13 +129,17 @@ def register(app: typer.Typer) -> None:
         from stages.evaluate import stage
 
         if dry_run:
-            console.plan(stage.plan(subject, output, config, true_meshes or ()))
+            console.plan(stage.plan(subject, output, config, true_meshes or (), perceptual_weights))
             return
         result = stage.run(subject, output, config, console, perceptual_weights, true_meshes or ())
-        console.result(
-            {"path": result.path, **result.summary},
-            next_command=f"gw export-garment {subject} --layer lower -o lower.gwg",
-        )
+        _show(console, result, f"gw export-garment {subject} --layer lower -o lower.gwg")
+
+
+def _show(console: Console, result: Any, following: str | None = None) -> None:
+    """The result, and the command to type next: after a part the one that puts the parts together."""
+    if not result.complete:
+        following = f"{without_shard(sys.argv)}   (when all parts are done)"
+    console.result({"path": result.path, **result.summary}, next_command=following)
 
 
 def _frames_against_truth(
@@ -143,14 +152,12 @@ def _frames_against_truth(
     weights: Path | None,
 ) -> None:
     from stages.evaluate import truth as truth_stage
-    from stages.shared.plan import Plan
 
     folder = output or frames.parent / (frames.name + "_evaluation")
     if dry_run:
-        console.plan(Plan(inputs=[str(frames), str(truth)], outputs=[str(folder / truth_stage.RESULT_NAME)]))
+        console.plan(truth_stage.plan(frames, truth, folder, config, weights))
         return
-    result = truth_stage.run(frames, truth, folder, config, console, weights)
-    console.result({"path": result.path, **result.summary})
+    _show(console, truth_stage.run(frames, truth, folder, config, console, weights))
 
 
 def _images_against_truth(
@@ -164,13 +171,9 @@ def _images_against_truth(
     weights: Path | None,
 ) -> None:
     from stages.evaluate import images as images_stage
-    from stages.shared.plan import Plan
 
     folder = output or images.parent / (images.name + "_evaluation")
     if dry_run:
-        pairs = images_stage.paired(images, truth)
-        inputs = [str(path) for path in (images, truth, masks) if path is not None]
-        console.plan(Plan(inputs, [str(folder / "evaluation.json")], {"pictures": len(pairs)}))
+        console.plan(images_stage.plan(images, truth, folder, masks, config, weights))
         return
-    result = images_stage.run(images, truth, folder, masks, config, console, weights)
-    console.result({"path": result.path, **result.summary})
+    _show(console, images_stage.run(images, truth, folder, masks, config, console, weights))

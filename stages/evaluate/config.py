@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 SPLITS = ("novel-pose", "novel-view", "novel-both")
 METHODS = ("trained", "baseline", "distilled")
@@ -22,6 +22,7 @@ class EvaluateConfig:
         training: beginning of the key of the training that is scored; "" for the one in use.
         pictures: side-by-side pictures per split.
         supersampling: rays per pixel and axis of the baseline's render.
+        shard: "i/n", the part of the frames that this run scores; "" for all.
     """
 
     splits: tuple[str, ...] = SPLITS[:2]
@@ -32,6 +33,7 @@ class EvaluateConfig:
     training: str = ""
     pictures: int = 4
     supersampling: int = 2
+    shard: str = field(default="", metadata={"affects_result": False})
 
 
 PRESETS: dict[str, EvaluateConfig] = {

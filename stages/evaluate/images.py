@@ -11,6 +11,7 @@ Without any mask there is no foreground: its scores are null, and the whole pict
 
 from __future__ import annotations
 
+import functools
 import time
 from pathlib import Path
 from typing import Any
@@ -21,15 +22,25 @@ from numpy.typing import NDArray
 
 from stages.evaluate.config import EvaluateConfig
 from stages.evaluate.gather import Gathered, comparison
+from stages.evaluate.parts import (
+    Piece,
+    Row,
+    evaluation_key,
+    gathered_rows,
+    part_summary,
+    replace_picture,
+    score_pieces,
+)
 from stages.evaluate.result import MARK, RESULT_NAME, EvaluateResult, write_evaluation
-from stages.shared.artifacts.files import write_file
 from stages.shared.artifacts.pictures import encode_png
 from stages.shared.capture.images import decode, read_bytes, read_mask
 from stages.shared.errors import BadData, MissingInput
 from stages.shared.losses.perceptual import Perceptual
 from stages.shared.metrics.scores import FOREGROUND_NAMES, ViewPair
-from stages.shared.pictures.folder import output_folder
+from stages.shared.pictures.folder import check_output
+from stages.shared.pictures.parts import finish, parse_share, part_folder
 from stages.shared.pictures.sheet import chosen
+from stages.shared.plan import Plan
 from stages.shared.report import SILENT, Report
 
 _SUFFIXES = (".png", ".jpg", ".jpeg")
@@ -50,27 +61,79 @@ def run(
     Raises:
         MissingInput: no pair, or a mask that is not there. BadData: another size, damaged files.
     """
-    started = time.monotonic()
-    pairs = paired(images, truth)
-    covers = pictures_of(masks) if masks else None
-    gathered = Gathered(Perceptual.load(perceptual_weights) if perceptual_weights else None)
+    started, share = time.monotonic(), parse_share(config.shard)
+    check_output(output, RESULT_NAME, MARK)
+    pairs, covers = _opened(images, truth, masks)
+    perceptual = Perceptual.load(perceptual_weights) if perceptual_weights else None
+    pieces = _pieces(pairs, covers, perceptual, config.pictures)
+    files = [path for _, *both in pairs for path in both] + list((covers or {}).values())
+    names = {"pictures": [name for name, *_ in pairs], "masks": list(covers or ())}
     report.step("scoring")
-    with output_folder(output, RESULT_NAME, MARK) as folder:
-        shown = chosen(len(pairs), config.pictures)
-        for index, (name, predicted, true) in enumerate(pairs):
-            view, has_mask = _view(name, predicted, true, covers)
-            scores = gathered.add(
-                "images", "", name, index, False, view, () if has_mask else FOREGROUND_NAMES
-            )
-            if index in shown:
-                picture = comparison(view.truth, None, {"images": view})
-                write_file(folder / f"{_SPLIT}_{shown.index(index)}.png", encode_png(picture))
-            report.progress(index + 1, len(pairs), psnr=scores["psnr"] or 0.0)
-        summary: dict[str, Any] = {_SPLIT: gathered.means()["images"]}
+    with part_folder(output, evaluation_key(config, names, files, perceptual_weights), share) as folder:
+        kept = score_pieces(folder, pieces, share, report)
+        if not share.whole:
+            return EvaluateResult(output, part_summary(pieces, config.shard, kept), False)
+        rows = gathered_rows(folder, pieces)
+        summary: dict[str, Any] = {_SPLIT: Gathered(rows=rows[_SPLIT]).means()["images"]}
         summary["unmatched"] = len(set(pictures_of(images)) ^ set(pictures_of(truth)))
         summary["seconds"] = round(time.monotonic() - started, 1)
-        write_evaluation(folder, config, summary, {_SPLIT: gathered.rows}, perceptual_weights)
+        write_evaluation(folder, config, summary, rows, perceptual_weights)
+        finish(folder, output, [])
     return EvaluateResult(output, summary)
+
+
+def plan(
+    images: Path,
+    truth: Path,
+    output: Path,
+    masks: Path | None = None,
+    config: EvaluateConfig = EvaluateConfig(),
+    perceptual_weights: Path | None = None,
+) -> Plan:
+    """What `run` would read, write and cost."""
+    share = parse_share(config.shard)
+    check_output(output, RESULT_NAME, MARK)
+    pairs, _ = _opened(images, truth, masks)
+    if perceptual_weights:
+        Perceptual.load(perceptual_weights)
+    given = [str(path) for path in (images, truth, masks) if path is not None]
+    return Plan(given, [str(output / RESULT_NAME)], {"pictures": len(share.of(pairs))})
+
+
+def _opened(
+    images: Path, truth: Path, masks: Path | None
+) -> tuple[list[tuple[str, Path, Path]], dict[str, Path] | None]:
+    """The pairs, and the masks by name."""
+    pairs = paired(images, truth)
+    if masks is None:
+        return pairs, None
+    covers = pictures_of(masks)
+    for name, _, true in pairs:
+        if name not in covers:
+            raise MissingInput(f"There is no mask for {name}.", str(true), "Give a mask for every picture.")
+    return pairs, covers
+
+
+def _pieces(
+    pairs: list[tuple[str, Path, Path]],
+    covers: dict[str, Path] | None,
+    perceptual: Perceptual | None,
+    pictures: int,
+) -> list[Piece]:
+    """Every pair is a piece of work; `pictures` of them leave `images_<n>.png`."""
+    shown = chosen(len(pairs), pictures)
+
+    def score(index: int, folder: Path) -> list[Row]:
+        name, predicted, true = pairs[index]
+        view, has_mask = _view(name, predicted, true, covers)
+        gathered = Gathered(perceptual)
+        gathered.add("images", "", name, index, False, view, () if has_mask else FOREGROUND_NAMES)
+        if index in shown:
+            picture = encode_png(comparison(view.truth, None, {"images": view}))
+            replace_picture(folder / f"{_SPLIT}_{shown.index(index)}.png", picture)
+        return gathered.rows
+
+    return [Piece(_SPLIT, functools.partial(score, index)) for index in range(len(pairs))]
 
 
 def pictures_of(folder: Path) -> dict[str, Path]:
@@ -100,8 +163,6 @@ def _view(name: str, predicted: Path, true: Path, covers: dict[str, Path] | None
     picture, alpha = _read(predicted)
     truth, mask = _read(true)
     if covers is not None:
-        if name not in covers:
-            raise MissingInput(f"There is no mask for {name}.", str(true), "Give a mask for every picture.")
         mask = read_mask(covers[name])
     for path, other in ((predicted, picture), (covers[name] if covers else true, mask)):
         if other is not None and other.shape[:2] != truth.shape[:2]:

@@ -14,21 +14,23 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from stages.evaluate.baseline import Baseline
 from stages.evaluate.config import METHODS, SPLITS, EvaluateConfig
+from stages.evaluate.gather import Gathered
 from stages.evaluate.methods import BaselineMethod, Method, TrainedMethod
+from stages.evaluate.parts import evaluation_key, gathered_rows, part_summary, score_pieces
 from stages.evaluate.result import MARK, RESULT_NAME, EvaluateResult, write_evaluation
-from stages.evaluate.score import Album, score_views
+from stages.evaluate.score import view_pieces
 from stages.evaluate.vertices import posings_of, vertex_errors
 from stages.evaluate.views import FrameViews, require_views, views_of
 from stages.pipeline import BAKE_MAPS, DISTILL, REGISTER_TEMPLATE, SEGMENT_LAYERS, TRAIN
 from stages.shared.artifacts import Artifact, Workspace
 from stages.shared.artifacts.canonical import readable_json
-from stages.shared.artifacts.files import write_file
+from stages.shared.artifacts.files import write_whole
 from stages.shared.artifacts.spec import StageSpec
 from stages.shared.body import BodyModel
 from stages.shared.capture import Capture
@@ -37,10 +39,13 @@ from stages.shared.capture.true_meshes import TrueMeshes, true_meshes_of
 from stages.shared.errors import MissingInput, UsageProblem
 from stages.shared.losses.perceptual import Perceptual
 from stages.shared.outfit.outfit import outfit_of_training
-from stages.shared.pictures.folder import output_folder
+from stages.shared.pictures.folder import check_output
+from stages.shared.pictures.parts import finish, parse_share, part_folder
 from stages.shared.plan import Plan
 from stages.shared.poses.read import load_poses
 from stages.shared.report import SILENT, Report
+
+_LEARNED = {"trained": TRAIN, "distilled": DISTILL}  # method to the stage that makes it
 
 
 def run(
@@ -60,29 +65,29 @@ def run(
         MissingInput: a stage has not run, or a split has no views. UsageProblem: unknown split or method.
     """
     check_config(config)
-    started = time.monotonic()
-    workspace, output = Workspace(subject), output or subject / "evaluation"
-    registered = workspace.require(REGISTER_TEMPLATE)
-    body = BodyModel.from_arrays(registered.arrays("body.safetensors"))
-    capture = open_subject_capture(workspace, body)
-    splits = {s: views_of(s, capture, str(registered.summary["take"]), config) for s in config.splits}
-    for split, views in splits.items():
-        require_views(views, split, capture)
-    meshes = _true_meshes(true_meshes, capture, config)
-    methods, training = _methods(workspace, body, config)
+    started, share, output = time.monotonic(), parse_share(config.shard), output or subject / "evaluation"
+    check_output(output, RESULT_NAME, MARK)
+    opened = _open(subject, config, true_meshes)
+    methods, training = _methods(opened, config)
     perceptual = Perceptual.load(perceptual_weights) if perceptual_weights else None
-    summary: dict[str, Any] = {"training": training} if training else {}
-    rows: dict[str, Any] = {}
-    with output_folder(output, RESULT_NAME, MARK) as folder:
-        for split, views in splits.items():
-            name = split.replace("-", "_")
-            report.step(name.replace("_", " "))
-            gathered = score_views(views, methods, report, perceptual, Album(folder, name, config.pictures))
-            summary[name], rows[name] = gathered.means(), gathered.rows
-        if meshes:
-            summary["vertex_error"] = _measured(folder, splits, meshes, methods, capture, registered, report)
+    pieces = [
+        piece
+        for split, views in opened.splits.items()
+        for piece in view_pieces(split, views, methods, perceptual, config.pictures)
+    ]
+    report.step("scoring")
+    with part_folder(output, _key(opened, config, perceptual_weights), share) as folder:
+        kept = score_pieces(folder, pieces, share, report)
+        if not share.whole:
+            return EvaluateResult(output, part_summary(pieces, config.shard, kept), False)
+        rows = gathered_rows(folder, pieces)
+        summary: dict[str, Any] = {"training": training} if training else {}
+        summary |= {split: Gathered(rows=rows[split]).means() for split in opened.splits}
+        if opened.meshes:
+            summary["vertex_error"] = _measured(folder, opened, methods, report)
         summary["seconds"] = round(time.monotonic() - started, 1)
         write_evaluation(folder, config, summary, rows, perceptual_weights)
+        finish(folder, output, [])
     return EvaluateResult(output, summary)
 
 
@@ -91,23 +96,80 @@ def plan(
     output: Path | None = None,
     config: EvaluateConfig = EvaluateConfig(),
     true_meshes: Sequence[str] = (),
+    perceptual_weights: Path | None = None,
 ) -> Plan:
     """What `run` would read, write and cost."""
     check_config(config)
-    workspace = Workspace(subject)
-    registered = workspace.require(REGISTER_TEMPLATE)
-    capture = open_subject_capture(workspace, BodyModel.from_arrays(registered.arrays("body.safetensors")))
-    splits = {s: views_of(s, capture, str(registered.summary["take"]), config) for s in config.splits}
-    count = sum(len(frame.cameras) for views in splits.values() for frame in views)
-    names = [RESULT_NAME, *(["vertices.json"] if _true_meshes(true_meshes, capture, config) else [])]
+    share, output = parse_share(config.shard), output or subject / "evaluation"
+    check_output(output, RESULT_NAME, MARK)
+    opened = _open(subject, config, true_meshes)
+    if perceptual_weights:
+        Perceptual.load(perceptual_weights)
+    frames = share.of([frame for views in opened.splits.values() for frame in views])
     return Plan(
-        inputs=[str(workspace.root), str(capture.root), *true_meshes],
-        outputs=[str((output or subject / "evaluation") / name) for name in names],
+        inputs=[str(opened.workspace.root), str(opened.capture.root), *true_meshes],
+        outputs=[str(output / RESULT_NAME)],
         config=asdict(config),
-        seconds=0.5 * count * len(config.methods),
+        seconds=0.5 * sum(len(frame.cameras) for frame in frames) * len(config.methods),
         memory_bytes=900_000_000,
         disk_bytes=2_000_000,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Opened:
+    """What is evaluated: artifacts by stage, views by split ("novel_pose"), true meshes by take."""
+
+    workspace: Workspace
+    artifacts: dict[str, Artifact]
+    body: BodyModel
+    capture: Capture
+    splits: dict[str, list[FrameViews]]
+    meshes: dict[str, TrueMeshes]
+
+    @property
+    def registered(self) -> Artifact:
+        return self.artifacts[REGISTER_TEMPLATE.name]
+
+
+def _open(subject: Path, config: EvaluateConfig, true_meshes: Sequence[str]) -> _Opened:
+    workspace = Workspace(subject)
+    registered = workspace.require(REGISTER_TEMPLATE)
+    body = BodyModel.from_arrays(registered.arrays("body.safetensors"))
+    capture = open_subject_capture(workspace, body)
+    splits = {}
+    for split in config.splits:
+        views = views_of(split, capture, str(registered.summary["take"]), config)
+        require_views(views, split, capture)
+        splits[split.replace("-", "_")] = views
+    meshes = _true_meshes(true_meshes, capture, config)
+    return _Opened(workspace, _artifacts(workspace, registered, config), body, capture, splits, meshes)
+
+
+def _artifacts(workspace: Workspace, registered: Artifact, config: EvaluateConfig) -> dict[str, Artifact]:
+    """What the methods are made from, by stage."""
+    found = {REGISTER_TEMPLATE.name: registered}
+    for name, spec in _LEARNED.items():
+        if name in config.methods:
+            found[BAKE_MAPS.name] = workspace.require(BAKE_MAPS)
+            found[spec.name] = chosen_training(workspace, spec, config.training if name == "trained" else "")
+    if "baseline" in config.methods:
+        found[SEGMENT_LAYERS.name] = workspace.require(SEGMENT_LAYERS)
+    return found
+
+
+def _key(opened: _Opened, config: EvaluateConfig, weights: Path | None) -> str:
+    """Names what the scores follow from."""
+    files = [path for group in ("cameras", "poses") for path in opened.capture.files(group)]
+    seen: list[Any] = []
+    for split, views in opened.splits.items():
+        for frame in views:
+            seen.append([split, frame.take.name, frame.frame, frame.cameras, frame.first])
+            for camera in frame.cameras:
+                view = frame.take.view(camera, frame.frame)
+                files += [path for path in (view.image, view.mask, view.labels) if path is not None]
+    digests = {stage: artifact.digest for stage, artifact in opened.artifacts.items()}
+    return evaluation_key(config, {"artifacts": digests, "views": seen}, files, weights)
 
 
 def check_config(config: EvaluateConfig) -> None:
@@ -149,24 +211,21 @@ def chosen_training(workspace: Workspace, spec: StageSpec, key: str) -> Artifact
     return artifact
 
 
-def _methods(
-    workspace: Workspace, body: BodyModel, config: EvaluateConfig
-) -> tuple[dict[str, Method], dict[str, Any]]:
+def _methods(opened: _Opened, config: EvaluateConfig) -> tuple[dict[str, Method], dict[str, Any]]:
     """What is scored, and which training that is."""
-    registered = workspace.require(REGISTER_TEMPLATE)
+    artifacts = opened.artifacts
     methods: dict[str, Method] = {}
     training: dict[str, Any] = {}
-    for name, spec in (("trained", TRAIN), ("distilled", DISTILL)):
+    for name, spec in _LEARNED.items():
         if name in config.methods:
-            trained = chosen_training(workspace, spec, config.training if name == "trained" else "")
-            methods[name] = TrainedMethod(
-                outfit_of_training(registered, workspace.require(BAKE_MAPS), trained)
-            )
+            trained = artifacts[spec.name]
+            outfit = outfit_of_training(opened.registered, artifacts[BAKE_MAPS.name], trained)
+            methods[name] = TrainedMethod(outfit)
             known = {word: trained.summary.get(word) for word in ("method", "without", "steps", "gaussians")}
             training[name] = {"key": trained.key, **known}
     if "baseline" in config.methods:
-        betas = load_poses(registered.file("smpl_params.npz"), body).betas
-        baseline = Baseline.load(workspace.require(SEGMENT_LAYERS), body, betas)
+        betas = load_poses(opened.registered.file("smpl_params.npz"), opened.body).betas
+        baseline = Baseline.load(artifacts[SEGMENT_LAYERS.name], opened.body, betas)
         methods["baseline"] = BaselineMethod(baseline, config.supersampling)
     return methods, training
 
@@ -182,19 +241,11 @@ def _true_meshes(given: Sequence[str], capture: Capture, config: EvaluateConfig)
     return true_meshes_of(list(given), capture)
 
 
-def _measured(
-    folder: Path,
-    splits: dict[str, list[FrameViews]],
-    meshes: dict[str, TrueMeshes],
-    methods: dict[str, Method],
-    capture: Capture,
-    registered: Artifact,
-    report: Report,
-) -> dict[str, Any]:
+def _measured(folder: Path, opened: _Opened, methods: dict[str, Method], report: Report) -> dict[str, Any]:
     """Measure against the true meshes what was learned, and its texels moved by the bones alone."""
     outfits = {name: method.outfit for name, method in methods.items() if isinstance(method, TrainedMethod)}
-    template = capture.take(str(registered.summary["take"])), int(registered.summary["frame"])
-    named = {split.replace("-", "_"): views for split, views in splits.items()}
-    found, rows = vertex_errors(named, meshes, posings_of(outfits), template, report)
-    write_file(folder / "vertices.json", readable_json(rows))
+    summary = opened.registered.summary
+    template = opened.capture.take(str(summary["take"])), int(summary["frame"])
+    found, rows = vertex_errors(opened.splits, opened.meshes, posings_of(outfits), template, report)
+    write_whole(folder / "vertices.json", readable_json(rows))
     return found

@@ -10,6 +10,7 @@ Writes, into the output folder:
 
 from __future__ import annotations
 
+import functools
 import time
 from pathlib import Path
 from typing import Any
@@ -19,9 +20,17 @@ import numpy as np
 
 from stages.evaluate.config import EvaluateConfig
 from stages.evaluate.gather import Gathered, comparison
+from stages.evaluate.parts import (
+    Piece,
+    Row,
+    evaluation_key,
+    gathered_rows,
+    part_summary,
+    replace_picture,
+    score_pieces,
+)
 from stages.evaluate.result import MARK, RESULT_NAME, EvaluateResult, write_evaluation
 from stages.shared.artifacts.canonical import strict_json
-from stages.shared.artifacts.files import write_file
 from stages.shared.artifacts.pictures import encode_png
 from stages.shared.capture import Take, open_capture
 from stages.shared.capture.images import decode, read_bytes
@@ -30,8 +39,10 @@ from stages.shared.errors import BadData, MissingInput
 from stages.shared.losses.perceptual import Perceptual
 from stages.shared.metrics.scores import ViewPair
 from stages.shared.outfit.sources import capture_take
-from stages.shared.pictures.folder import output_folder
+from stages.shared.pictures.folder import check_output
+from stages.shared.pictures.parts import finish, parse_share, part_folder
 from stages.shared.pictures.sheet import chosen
+from stages.shared.plan import Plan
 from stages.shared.report import SILENT, Report
 
 _SPLIT = "tryon_truth"
@@ -50,7 +61,48 @@ def run(
     Raises:
         MissingInput: nothing in common, or no such folder. BadData: pictures of another size, damaged files.
     """
-    started = time.monotonic()
+    started, share = time.monotonic(), parse_share(config.shard)
+    check_output(output, RESULT_NAME, MARK)
+    shown, take, pairs = _opened(frames, truth)
+    perceptual = Perceptual.load(perceptual_weights) if perceptual_weights else None
+    pieces = _pieces(frames, take, pairs, shown["frames"][0], perceptual, config.pictures)
+    files = [path for row, camera in pairs for path in _files(frames, take, camera, row)]
+    report.step("scoring")
+    key = evaluation_key(config, {"take": take.name, "pairs": pairs}, files, perceptual_weights)
+    with part_folder(output, key, share) as folder:
+        kept = score_pieces(folder, pieces, share, report)
+        if not share.whole:
+            return EvaluateResult(output, part_summary(pieces, config.shard, kept), False)
+        rows = gathered_rows(folder, pieces)
+        means = Gathered(rows=rows[_SPLIT]).means()
+        summary: dict[str, Any] = {_SPLIT: means["tryon"]}
+        if "tryon_without_first" in means:
+            summary[f"{_SPLIT}_without_first"] = means["tryon_without_first"]
+        summary["seconds"] = round(time.monotonic() - started, 1)
+        write_evaluation(folder, config, summary, rows, perceptual_weights)
+        finish(folder, output, [])
+    return EvaluateResult(output, summary)
+
+
+def plan(
+    frames: Path,
+    truth: Path,
+    output: Path,
+    config: EvaluateConfig = EvaluateConfig(),
+    perceptual_weights: Path | None = None,
+) -> Plan:
+    """What `run` would read, write and cost."""
+    share = parse_share(config.shard)
+    check_output(output, RESULT_NAME, MARK)
+    _, _, pairs = _opened(frames, truth)
+    if perceptual_weights:
+        Perceptual.load(perceptual_weights)
+    given = [str(frames), str(truth)]
+    return Plan(given, [str(output / RESULT_NAME)], {"pictures": len(share.of(pairs))})
+
+
+def _opened(frames: Path, truth: Path) -> tuple[dict[str, Any], Take, list[tuple[int, str]]]:
+    """What the render wrote about itself, the take, row and camera of every picture that both have."""
     shown = _rendered(frames)
     take = capture_take(open_capture(truth), shown.get("take"))
     names = set(take.cameras)
@@ -62,24 +114,39 @@ def run(
             f"{frames}, {truth}",
             f"Render with the capture's cameras: gw render … --cameras {truth}.",
         )
-    gathered = Gathered(Perceptual.load(perceptual_weights) if perceptual_weights else None)
-    report.step("scoring")
-    with output_folder(output, RESULT_NAME, MARK) as folder:
-        pictures = chosen(len(pairs), config.pictures)
-        for index, (row, camera) in enumerate(pairs):
-            view = _pair(frames, take, camera, row)
-            gathered.add("tryon", take.name, camera, row, row == shown["frames"][0], view)
-            if index in pictures:
-                picture = comparison(view.truth, view.truth_labels, {"tryon": view})
-                write_file(folder / f"{_SPLIT}_{pictures.index(index)}.png", encode_png(picture))
-            report.progress(index + 1, len(pairs))
-        means = gathered.means()
-        summary: dict[str, Any] = {_SPLIT: means["tryon"]}
-        if "tryon_without_first" in means:
-            summary[f"{_SPLIT}_without_first"] = means["tryon_without_first"]
-        summary["seconds"] = round(time.monotonic() - started, 1)
-        write_evaluation(folder, config, summary, {_SPLIT: gathered.rows}, perceptual_weights)
-    return EvaluateResult(output, summary)
+    return shown, take, pairs
+
+
+def _pieces(
+    frames: Path,
+    take: Take,
+    pairs: list[tuple[int, str]],
+    first: int,
+    perceptual: Perceptual | None,
+    pictures: int,
+) -> list[Piece]:
+    """Every pair is a piece; `pictures` of them leave `tryon_truth_<n>.png`. first: row of the motion."""
+    shown = chosen(len(pairs), pictures)
+
+    def score(index: int, folder: Path) -> list[Row]:
+        row, camera = pairs[index]
+        view = _pair(frames, take, camera, row)
+        gathered = Gathered(perceptual)
+        gathered.add("tryon", take.name, camera, row, row == first, view)
+        if index in shown:
+            picture = encode_png(comparison(view.truth, view.truth_labels, {"tryon": view}))
+            replace_picture(folder / f"{_SPLIT}_{shown.index(index)}.png", picture)
+        return gathered.rows
+
+    return [Piece(_SPLIT, functools.partial(score, index)) for index in range(len(pairs))]
+
+
+def _files(frames: Path, take: Take, camera: str, row: int) -> list[Path]:
+    """What one pair is read from."""
+    view = take.view(camera, row)
+    labels = frames / "labels" / camera / f"{row:06d}.png"
+    found = [frames / "frames" / camera / f"{row:06d}.png", view.image, view.mask, view.labels]
+    return [path for path in (*found, labels if labels.is_file() else None) if path is not None]
 
 
 def _rendered(frames: Path) -> dict[str, Any]:

@@ -71,7 +71,7 @@ def cast_texels(vertices: np.ndarray, faces: np.ndarray, grid: Grid, layer: str,
     scene = RayScene(vertices, faces)
     parts = []
     for view in range(2):
-        hits = scene.orthographic(x, y, back=bool(view))[0]
+        hits = scene.orthographic(x, y, back=bool(view))
         row, column = np.nonzero(hits.hit)
         texels = np.stack([np.full(len(row), view), rows[row], columns[column]], axis=1)
         parts.append((texels, hits.face[hits.hit], hits.barycentric[hits.hit]))

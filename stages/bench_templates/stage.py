@@ -90,7 +90,6 @@ def run(
         CommandFailed: one of the commands failed.
     """
     subject = output / "subject"
-    output.mkdir(parents=True, exist_ok=True)
     costs = _make(capture, subject, config, report, body_model)
     workspace = Workspace(subject)
     body = BodyModel.from_arrays(workspace.require(REGISTER_TEMPLATE).arrays("body"))

@@ -28,6 +28,7 @@ from stages.shared.artifacts.files import write_file
 from stages.shared.artifacts.pictures import encode_png
 from stages.shared.capture import Take, open_capture
 from stages.shared.capture.camera import Camera
+from stages.shared.capture.take import MASK_THRESHOLD
 from stages.shared.errors import MissingInput, UsageProblem
 from stages.shared.metrics.scores import Scores, ViewPair
 from stages.shared.outfit.layer import label_of
@@ -195,7 +196,7 @@ def _comparison(views: dict[str, ViewPair]) -> NDArray[np.uint8]:
         picture[np.isin(view.truth_labels, (3, 4, 5)) & (view.prediction_labels <= 2)] = (255, 0, 0)
         pictures.append(picture)
         captions.append(name)
-    rows, columns = np.nonzero(truth.mask > 127)
+    rows, columns = np.nonzero(truth.mask > MASK_THRESHOLD)
     cut = np.s_[max(rows.min() - 8, 0) : rows.max() + 9, max(columns.min() - 16, 0) : columns.max() + 17]
     cells = [shrunk(np.ascontiguousarray(picture[cut]), 384) for picture in pictures]
     return contact_sheet(cells, 6, captions)

@@ -37,6 +37,7 @@ from stages.shared.body.kinematics import shaped_joints
 from stages.shared.body.model import BodyModel
 from stages.shared.body.posed import posed_body, row_transforms
 from stages.shared.body.poses import Poses
+from stages.shared.body.skeleton import JOINT_INDEX
 from stages.shared.capture.outlines import filmed_frames, outline_agreement
 from stages.shared.capture.subject import open_subject_capture
 from stages.shared.capture.take import Take
@@ -51,7 +52,7 @@ VARIANTS = {
     "undiffused": "inverse distance to 30 body vertices, not diffused",
     "diffused": "the voxel field, diffused",
 }
-_SHOULDERS = (16, 17)
+_SHOULDERS = (JOINT_INDEX["left_shoulder"], JOINT_INDEX["right_shoulder"])
 _ARMPIT = 0.16  # metres around a shoulder joint
 _GREY, _RED = np.array([190.0, 190.0, 190.0]), np.array([220.0, 30.0, 30.0])
 
@@ -97,7 +98,6 @@ def run(
         numbers |= _motion(body, points, weights, world, faces, takes, camera_step)
         found[name] = numbers
         pictures += _pictures(world, points, faces, armpits, config)
-    output.mkdir(parents=True, exist_ok=True)
     captions = [f"{name}: {part}" for name in VARIANTS for part in ("whole", "armpit")]
     order = [*range(0, len(pictures), 2), *range(1, len(pictures), 2)]
     sheet = contact_sheet([pictures[i] for i in order], len(VARIANTS), [captions[i] for i in order])

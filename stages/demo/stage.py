@@ -20,6 +20,7 @@ from stages.demo.config import DemoConfig
 from stages.demo.page import write_page
 from stages.demo.recipe import DemoOutcome, DemoStep, steps
 from stages.shared.artifacts import write_whole
+from stages.shared.artifacts.files import make_folders
 from stages.shared.commands import run_command
 from stages.shared.plan import Plan
 from stages.shared.report import SILENT, Report
@@ -51,7 +52,7 @@ def run(folder: Path, config: DemoConfig = DemoConfig(), report: Report = SILENT
     Raises:
         CommandFailed: with the exit code of the command that failed.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folders(folder)
     known = _read_known(folder)
     chain = steps(config)
     outcomes: list[DemoOutcome] = []

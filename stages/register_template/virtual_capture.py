@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
 
+from stages.shared.artifacts.canonical import digest
 from stages.shared.capture import Capture, Take, native_writer
 from stages.shared.capture.textured_scan import read_textured_scan, render_scan, ring_of_cameras
 from stages.shared.errors import MissingInput
@@ -44,7 +46,7 @@ def virtual_capture(
             str(capture.root),
             "Leave --virtual-cameras out, or copy the folder Meshes_pkl.",
         )
-    made_of = _made_of(capture, takes, count, size)
+    made_of = _made_of(capture, takes, count, size, folder)
     note = folder / _MADE_OF
     if not force and note.is_file() and note.read_bytes() == made_of:
         report.say(f"the virtual cameras in {folder} are up to date")
@@ -71,13 +73,17 @@ def virtual_capture(
     return folder
 
 
-def _made_of(capture: Capture, takes: list[Take], count: int, size: tuple[int, int]) -> bytes:
-    """What a virtual capture depends on, as JSON: sizes and times of the scans, the poses, the settings."""
+def _made_of(capture: Capture, takes: list[Take], count: int, size: tuple[int, int], folder: Path) -> bytes:
+    """What a virtual capture depends on, as JSON: sizes and times of the scans, the poses, the settings.
+
+    The capture's place is told from `folder`: no file names a place on somebody's disk.
+    """
     scans = {
         f"{take.name}/{frame}": [path.name, path.stat().st_size, path.stat().st_mtime_ns]
         for take in takes
         for frame, path in sorted(take.scans.items())
     }
-    poses = {take.name: float(np.abs(take.poses.translation).sum()) for take in takes}
-    content = {"capture": str(capture.root.resolve()), "cameras": count, "size": size}
+    poses = {take.name: digest(take.poses.to_npz_bytes()) for take in takes}
+    place = Path(os.path.relpath(capture.root.resolve(), folder.resolve())).as_posix()
+    content = {"capture": place, "cameras": count, "size": size}
     return (json.dumps({**content, "scans": scans, "poses": poses}, sort_keys=True) + "\n").encode()

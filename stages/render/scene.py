@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
 from stages.pipeline import BAKE_MAPS, DISTILL, REGISTER_TEMPLATE, TRAIN
 from stages.render.camera_path import path_cameras
 from stages.render.config import RenderConfig
 from stages.shared.artifacts import Workspace
-from stages.shared.body import Poses, canonical_rotations
+from stages.shared.body import Poses, canonical_poses
 from stages.shared.capture import Take, open_capture
 from stages.shared.errors import MissingInput, UsageProblem
 from stages.shared.outfit.grounding import grounded
@@ -63,7 +61,7 @@ def open_scene(
     if cameras_path is not None:
         take = capture_take(open_capture(cameras_path, body=outfit.body_model), config.take or None)
     if poses_path is not None and poses_path == Path(CANONICAL):
-        poses = _still(1 if config.camera in ("", "static") else _STILL_FRAMES)
+        poses = canonical_poses(1 if config.camera in ("", "static") else _STILL_FRAMES)
     elif poses_path is not None:
         poses = load_poses(poses_path, outfit.body_model, config.fps or None)
         if config.ground and take is None:
@@ -114,13 +112,6 @@ def _open_outfit(
     poses = load_poses(registered.file("smpl_params.npz"), outfit.body_model)
     digests = {part.stage: part.digest for part in (registered, baked, learned)}
     return outfit if betas is None else replace(outfit, betas=betas), poses, digests
-
-
-def _still(count: int) -> Poses:
-    """The canonical pose, standing where it is."""
-    rotations = np.tile(canonical_rotations().numpy(), (count, 1, 1))
-    zeros = np.zeros((count, 10), np.float32)
-    return Poses(rotations, zeros[:, :3], zeros[0], zeros)
 
 
 def _frames(outfit: Outfit, poses: Poses, take: Take | None, config: RenderConfig) -> list[ReelFrame]:

@@ -15,6 +15,7 @@ from stages.segment_layers.regions import face_labels
 from stages.shared.body.model import BodyModel
 from stages.shared.body.posed import posed_body
 from stages.shared.body.poses import Poses
+from stages.shared.body.skeleton import JOINT_INDEX
 from stages.shared.capture import LABELS
 from stages.shared.meshes.topology import vertex_normals
 
@@ -23,8 +24,15 @@ SKIN, HAIR, SHOE = (_LABEL_ID[name] for name in ("skin", "hair", "shoe"))
 UPPER, OUTER = _LABEL_ID["upper"], _LABEL_ID["outer"]
 GARMENT_LABELS = tuple(_LABEL_ID[name] for name in ("lower", "upper", "outer"))  # inner to outer
 _OUTERMOST = (*reversed(GARMENT_LABELS), HAIR, SHOE, SKIN)
-_LEGS = (1, 2, 4, 5, 7, 8)
-_TORSO_AND_ARMS = (6, 9, 12, 13, 14, 16, 17, 18, 19)
+_LEGS = [JOINT_INDEX[f"{side}_{name}"] for side in ("left", "right") for name in ("hip", "knee", "ankle")]
+_TORSO_AND_ARMS = [
+    *(JOINT_INDEX[name] for name in ("spine2", "spine3", "neck")),
+    *(
+        JOINT_INDEX[f"{side}_{name}"]
+        for side in ("left", "right")
+        for name in ("collar", "shoulder", "elbow")
+    ),
+]
 _ONE_PIECE = 0.15  # share of the weights on either half
 _SCAN_REACH = 0.02  # metres: body vertices take the colour of scan skin that is this near
 
@@ -157,8 +165,8 @@ def slots_of(layers: dict[str, dict[str, np.ndarray]]) -> dict[str, list[str]]:
         if name in layers and other not in layers:
             mesh = layers[name]
             weights = mesh["skin_weights"][mesh["ring"] == 0]
-            leg = float(weights[:, list(_LEGS)].sum(axis=1).mean()) if len(weights) else 0.0
-            torso = float(weights[:, list(_TORSO_AND_ARMS)].sum(axis=1).mean()) if len(weights) else 0.0
+            leg = float(weights[:, _LEGS].sum(axis=1).mean()) if len(weights) else 0.0
+            torso = float(weights[:, _TORSO_AND_ARMS].sum(axis=1).mean()) if len(weights) else 0.0
             if min(leg, torso) > _ONE_PIECE:
                 found[name] = ["lower", "upper"]
     return found

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from stages.shared.artifacts.pictures import encode_png
-from stages.shared.body import Poses, canonical_rotations
+from stages.shared.body import Poses, canonical_poses
 from stages.shared.capture.camera import Camera, checked_camera
 from stages.shared.errors import UsageProblem
 from stages.shared.outfit.grounding import grounded
@@ -130,9 +130,7 @@ class Show:
 
 def canonical_motion() -> tuple[str, Poses]:
     """One frame in the pose of the maps."""
-    rotations = canonical_rotations().numpy()[None]
-    zeros = np.zeros((1, 10), np.float32)
-    return AS_THEY_ARE[0], Poses(rotations, zeros[:, :3], zeros[0], zeros)
+    return AS_THEY_ARE[0], canonical_poses()
 
 
 def camera_of(content: Any) -> Camera:

@@ -15,14 +15,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from stages.shared.artifacts.bundle import Bundle, read_bundle
 from stages.shared.artifacts.canonical import readable_json
 from stages.shared.artifacts.files import write_file
 from stages.shared.artifacts.pictures import encode_png
-from stages.shared.body import Poses, canonical_rotations
+from stages.shared.body import Poses, canonical_poses
 from stages.shared.errors import MissingInput, UsageProblem
 from stages.shared.outfit.outfit import Outfit, outfit_of_bundles
 from stages.shared.outfit.penetration import TRYON_MARGINS
@@ -104,7 +103,7 @@ def run(
 
 def _shots(outfit: Outfit, poses_path: Path | None, config: OutfitsConfig) -> list[Shot]:
     """The outfit from every side."""
-    poses = _still() if poses_path is None else load_poses(poses_path, outfit.body_model)
+    poses = canonical_poses() if poses_path is None else load_poses(poses_path, outfit.body_model)
     frame = len(poses) // 2 if config.frame < 0 else config.frame
     if frame >= len(poses):
         raise UsageProblem(
@@ -133,13 +132,6 @@ def _forward(poses: Poses, frame: int) -> tuple[float, float]:
 
     forward = Rotation.from_rotvec(poses.rotations[frame, 0].astype(np.float64)).apply([0.0, 0.0, 1.0])
     return float(forward[0]), float(forward[2])
-
-
-def _still() -> Poses:
-    """The canonical pose, once."""
-    rotations = canonical_rotations().to(torch.float32).numpy()[None]
-    zeros = np.zeros((1, 10), np.float32)
-    return Poses(rotations, np.zeros((1, 3), np.float32), zeros[0], zeros)
 
 
 def _row(worn: tuple[Piece, ...], outfit: Outfit, shots: list[Shot]) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from stages.shared.body.canonical import (
     canonical_from_rest,
+    canonical_poses,
     canonical_rotations,
     canonical_shape_directions,
     posed_from_canonical,
@@ -31,6 +32,7 @@ __all__ = [
     "blend",
     "bone_transforms",
     "canonical_from_rest",
+    "canonical_poses",
     "canonical_rotations",
     "canonical_shape_directions",
     "embedded_body",

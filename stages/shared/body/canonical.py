@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -18,7 +19,8 @@ from stages.shared.body.kinematics import (
     shaped_joints,
 )
 from stages.shared.body.model import BodyModel
-from stages.shared.body.skeleton import JOINT_COUNT, JOINT_INDEX, PARENTS
+from stages.shared.body.poses import Poses
+from stages.shared.body.skeleton import EXPRESSION_COUNT, JOINT_COUNT, JOINT_INDEX, PARENTS, SHAPE_COUNT
 
 HIP_ANGLE = math.radians(25.0)
 WRIST_ANGLE = -math.pi / 2
@@ -32,6 +34,13 @@ def canonical_rotations(dtype: torch.dtype = torch.float32) -> Tensor:
     rotations[JOINT_INDEX["left_wrist"], 0] = WRIST_ANGLE
     rotations[JOINT_INDEX["right_wrist"], 0] = WRIST_ANGLE
     return rotations
+
+
+def canonical_poses(frames: int = 1) -> Poses:
+    """The canonical pose, standing still with the mean shape, as a motion of so many frames."""
+    rotations = np.tile(canonical_rotations().numpy(), (frames, 1, 1))
+    zeros = np.zeros((frames, EXPRESSION_COUNT), np.float32)
+    return Poses(rotations, zeros[:, :3], np.zeros(SHAPE_COUNT, np.float32), zeros)
 
 
 def canonical_from_rest(body: BodyModel, betas: Tensor) -> Tensor:

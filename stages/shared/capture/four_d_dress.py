@@ -1,7 +1,7 @@
 """Reader for the 4D-DRESS layout: `<subject>/<Inner|Outer>/TakeN/{Capture, SMPLX, Meshes_pkl, Semantic}`.
 
-Frames keep their five-digit names in `frame_names` and are numbered from 0 in the order of the fits. Every
-number in this data set is in a pickle; all of them go through the quarantined child process.
+Frames are numbered from 0 in the order of the fits; files keep their five-digit names. Every number in this
+data set is in a pickle; all of them go through the quarantined child process.
 """
 
 from __future__ import annotations
@@ -117,7 +117,6 @@ def _read_take(folder: Path, split: Split, pickles: PickleReader, body: BodyMode
         scan=meshes[scanned[0]] if scanned else None,
         scan_frame=row[scanned[0]] if scanned else None,
         scans={row[number]: meshes[number] for number in scanned},
-        frame_names={place: f"{number:05d}" for number, place in row.items()},
         notes=notes,
     )
 

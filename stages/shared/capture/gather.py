@@ -99,7 +99,6 @@ def make_take(
     pose_files: Iterable[Path],
     scan: Path | None = None,
     scan_frame: int | None = None,
-    frame_names: Mapping[int, str] | None = None,
     notes: Iterable[str] = (),
     scans: Mapping[int, Path] | None = None,
 ) -> Take:
@@ -160,7 +159,6 @@ def make_take(
         pose_files=tuple(pose_files),
         scan=scan,
         scan_frame=scan_frame,
-        frame_names=dict(frame_names or {}),
         notes=tuple(remarks),
         posed=posed,
         scans={frame: path for frame, path in (scans or {}).items() if frame in frames},

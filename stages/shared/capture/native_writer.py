@@ -63,7 +63,7 @@ class TakeWriter:
         if image.dtype != np.uint8:
             raise ValueError(f"{group}/{camera}/{name}: {image.dtype}, not uint8")
         folder = self.folder / group / camera
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folders(folder)
         _, data = cv2.imencode(Path(name).suffix, image, options)
         write_file(folder / name, data.tobytes())
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from stages.shared.capture.take import Take
+from stages.shared.capture.take import MASK_THRESHOLD, Take
 from stages.shared.meshes.raycast import RayScene
 
 
@@ -32,7 +32,7 @@ def outline_agreement(
     for frame in frames:
         scene = RayScene(posed(frame), faces)
         scores = [
-            _agreement(scene.render(take.camera(camera)).hit, take.mask(camera, frame) > 127)
+            _agreement(scene.render(take.camera(camera)).hit, take.mask(camera, frame) > MASK_THRESHOLD)
             for camera in cameras
             if take.has_image(camera, frame)
         ]

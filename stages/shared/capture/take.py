@@ -48,7 +48,6 @@ class Take:
         views: (camera name, frame) to files, for all cameras.
         calibration_files, pose_files: what `cameras` and `poses` were read from.
         scan, scan_frame: a mesh of the dressed person and the frame it shows.
-        frame_names: what the capture calls the frames, where that is not the frame number.
         notes: what was left out or assumed, in sentences for people.
         scans: frame to scan, for captures that have one of every frame.
         posed: whether the capture brings poses; without them `poses` are rest poses that mean nothing.
@@ -66,7 +65,6 @@ class Take:
     pose_files: tuple[Path, ...] = ()
     scan: Path | None = None
     scan_frame: int | None = None
-    frame_names: Mapping[int, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     posed: bool = True
     scans: Mapping[int, Path] = field(default_factory=dict)

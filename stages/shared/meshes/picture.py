@@ -39,7 +39,7 @@ def two_sided_picture(
     normals = vertex_normals(vertices, faces)
     views = []
     for back in (False, True):
-        hits = scene.orthographic(x, y, back=back)[0]
+        hits = scene.orthographic(x, y, back=back)
         facing = hits.interpolate(faces, normals) * (np.array([-1, 1, -1]) if back else 1)
         light = (1 - shade) + shade * np.abs(facing @ _LIGHT)
         picture = np.where(hits.hit[..., None], hits.interpolate(faces, painted) * light[..., None], 255.0)

@@ -122,31 +122,15 @@ class RayScene:
         query = self._open3d.core.Tensor(np.ascontiguousarray(points, dtype=np.float32))
         return np.asarray(self._scene.compute_signed_distance(query, nsamples=samples).numpy())
 
-    def orthographic(self, x: ArrayLike, y: ArrayLike, back: bool = False, layers: int = 1) -> list[Hits]:
-        """Parallel views along z: rays at columns x (W,) and rows y (H,), from +z (front) or -z (back).
+    def orthographic(self, x: ArrayLike, y: ArrayLike, back: bool = False) -> Hits:
+        """First hits (H, W) of a parallel view along z, from +z (front) or -z (back).
 
-        Returns `layers` sets of hits (H, W): the first, the second, … surface met. Distance counts from a
-        plane 1 m before the mesh. Rows follow `y`, columns follow `x`; the back view keeps the columns of the
-        front view (it is not mirrored).
+        Rays run through columns x (W,) and rows y (H,); the back view keeps the columns of the front view (it
+        is not mirrored). Distance counts from a plane 1 m before the mesh.
         """
         columns, rows = np.meshgrid(np.asarray(x, np.float32), np.asarray(y, np.float32))
         sign = -1.0 if back else 1.0
         start = (self.vertices[:, 2] * sign).max() + 1.0 if len(self.vertices) else 1.0
         origins = np.stack([columns, rows, np.full_like(columns, sign * start)], axis=-1)
         direction = np.array([0.0, 0.0, -sign], np.float32)
-        found = [self.first_hits(origins, direction)]
-        for _ in range(layers - 1):
-            found.append(self._behind(found[-1], origins, direction))
-        return found
-
-    def _behind(self, before: Hits, origins: Floats, direction: Floats, step: float = 1e-4) -> Hits:
-        """Hits of rays that start just behind the hits `before`; distances still count from `origins`."""
-        hit = before.hit
-        travelled = np.where(hit, before.distance + step, 0.0).astype(np.float32)
-        after = self.first_hits(origins + travelled[..., None] * direction, direction)
-        keep = hit & after.hit
-        return Hits(
-            np.where(keep, after.distance + travelled, np.inf).astype(np.float32),
-            np.where(keep, after.face, NO_HIT).astype(np.int32),
-            after.barycentric * keep[..., None],
-        )
+        return self.first_hits(origins, direction)

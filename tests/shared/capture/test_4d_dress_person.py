@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from stages.register_template.virtual_capture import virtual_capture
 from stages.shared.artifacts import Workspace
 from stages.shared.body import embedded_body
 from stages.shared.capture import open_capture
+from stages.shared.capture.open_capture import with_poses
 from stages.shared.capture.subject import open_subject_capture
 from stages.shared.meshes import RayScene
 from stages.shared.report import SILENT
@@ -72,3 +74,7 @@ def test_virtual_cameras_around_its_scans(tmp_path: Path) -> None:
     before = (folder / "capture.json").stat().st_mtime_ns
     assert virtual_capture(given, folder, 5, SILENT, size=(94, 128)) == folder
     assert (folder / "capture.json").stat().st_mtime_ns == before
+    assert str(tmp_path) not in (folder / "made_of.json").read_text()
+    turned = replace(given.takes[0].poses, rotations=given.takes[0].poses.rotations + 0.01)
+    virtual_capture(with_poses(given, {given.takes[0].name: turned}), folder, 5, SILENT, size=(94, 128))
+    assert (folder / "capture.json").stat().st_mtime_ns > before

@@ -85,7 +85,8 @@ def test_4d_dress_names_frames_and_splits_takes(tmp_path: Path) -> None:
     capture = open_capture(scene.write_4d_dress(tmp_path / "00199" / "Outer"))
     train, test = capture.takes
     assert (train.split, test.split) == ("train", "test")
-    assert train.frame_names == {0: "00011", 1: "00012", 2: "00013"} and train.scan_frame == 0
+    names = [train.view(next(iter(train.cameras)), frame).image.stem[-5:] for frame in train.frames]
+    assert train.frames == [0, 1, 2] and names == ["00011", "00012", "00013"] and train.scan_frame == 0
     scan = train.read_scan()
     assert scan is not None and scan.labels is not None and scan.colors is not None
     np.testing.assert_array_equal(scan.labels, np.arange(20) % 5)

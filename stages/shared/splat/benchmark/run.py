@@ -169,7 +169,6 @@ def _mebibytes(size: int | None) -> str:
 
 
 def _write(output: Path, summary: dict[str, Any]) -> list[Path]:
-    output.mkdir(parents=True, exist_ok=True)
     files = [output / "splat.json"]
     write_whole(files[0], (json.dumps(summary, indent=2) + "\n").encode())
     for axis in ("gaussians", "pixels", "channels"):

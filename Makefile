@@ -55,7 +55,7 @@ format: $(READY) ## rewrite the sources in the project's format
 subject: register-template canonicalize segment-layers bake-maps train evaluate ## CAPTURE=… SUBJECT=…: the whole chain
 
 register-template: $(READY) ## CAPTURE=… SUBJECT=…
-	$(GW) register-template $(CAPTURE) -o $(SUBJECT) $(STAGE_FLAGS)
+	$(GW) register-template $(CAPTURE) -o $(SUBJECT) --preset $(PRESET) $(STAGE_FLAGS)
 
 canonicalize: $(READY) ## SUBJECT=…
 	$(GW) canonicalize $(SUBJECT) --preset $(PRESET)

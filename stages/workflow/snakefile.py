@@ -7,6 +7,7 @@ killed job leaves the old one or none, so there is nothing half-made for Snakema
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,14 +19,13 @@ from stages.shared.errors import MissingInput, UsageProblem
 # Threads, memory and time a job asks for; multiplied on every retry.
 _RESOURCES = {"train": (2, 4000, 240)}
 _DEFAULT = (2, 3000, 60)
-_WITH_PRESET = {"canonicalize", "segment-layers", "bake-maps", "train"}
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
 _HEADER = '''"""Made by `gw pipeline --emit snakefile`. Run: snakemake --cores 2, or with a Slurm profile."""
 
 CAPTURES = {captures}
-WORKSPACES = "{workspaces}"
-PRESET = config.get("preset", "{preset}")
+WORKSPACES = {workspaces}
+PRESET = config.get("preset", {preset})
 
 
 rule all:
@@ -48,8 +48,9 @@ rule {rule}:
         runtime=lambda wildcards, attempt: {minutes} * attempt,
     params:
         capture=lambda wildcards: CAPTURES[wildcards.subject],
+        subject=lambda wildcards: WORKSPACES + "/" + wildcards.subject,
     shell:
-        "{command} > {{log}} 2>&1"
+        "{command} > {{log:q}} 2>&1"
 """
 
 
@@ -76,9 +77,19 @@ def subjects(captures: Sequence[Path]) -> dict[str, str]:
 
 def snakefile(captures: Mapping[str, str], workspaces: str, preset: str) -> str:
     """Text of a Snakefile that takes every capture through all stages."""
-    listed = "{\n" + "".join(f"    {name!r}: {place!r},\n" for name, place in captures.items()) + "}"
-    header = _HEADER.format(captures=listed, workspaces=workspaces, preset=preset, last=PIPELINE[-1].name)
-    return header.replace("'", '"') + "".join(_rule(spec) for spec in PIPELINE)
+    listed = "".join(f"    {_quoted(name)}: {_quoted(place)},\n" for name, place in captures.items())
+    header = _HEADER.format(
+        captures=f"{{\n{listed}}}",
+        workspaces=_quoted(workspaces),
+        preset=_quoted(preset),
+        last=PIPELINE[-1].name,
+    )
+    return header + "".join(_rule(spec) for spec in PIPELINE)
+
+
+def _quoted(text: str) -> str:
+    """A text as Python has it between double quotes; JSON's rules are among Python's."""
+    return json.dumps(text, ensure_ascii=False)
 
 
 def _rule(spec: StageSpec) -> str:
@@ -86,10 +97,8 @@ def _rule(spec: StageSpec) -> str:
     inputs = [f'        WORKSPACES + "/{{subject}}/{read}/current.json",' for read in spec.reads]
     if not spec.reads:
         inputs = ["        lambda wildcards: CAPTURES[wildcards.subject],"]
-    words = {"SUBJECT": "{WORKSPACES}/{wildcards.subject}", "CAPTURE": "{params.capture:q}"}
-    command = " ".join(words.get(word, word) for word in spec.command.split())
-    if spec.name in _WITH_PRESET:
-        command += " --preset {PRESET}"
+    words = {"SUBJECT": "{params.subject:q}", "CAPTURE": "{params.capture:q}"}
+    command = " ".join(words.get(word, word) for word in spec.command.split()) + " --preset {PRESET:q}"
     return _RULE.format(
         rule=spec.name.replace("-", "_"),
         inputs="\n".join(inputs),

@@ -42,7 +42,7 @@ def snakemake(folder: Path, *words: str, seconds: float = 120) -> subprocess.Com
 
 @pytest.fixture
 def captures(tmp_path: Path) -> list[Path]:
-    folders = [tmp_path / "in" / name for name in ("anna", "bert o".replace(" ", "-"))]
+    folders = [tmp_path / 'anna\'s "in" box' / name for name in ("anna", "bert-o")]
     for folder in folders:
         folder.mkdir(parents=True)
     return folders
@@ -57,6 +57,12 @@ def test_every_stage_of_the_table_is_a_rule(tmp_path: Path, captures: list[Path]
         given = rule.split("output:")[0]
         assert all(f"/{read}/current.json" in given for read in spec.reads)
         assert f"/{spec.name}/current.json" in rule.split("output:")[1]
+        assert "--preset {PRESET:q}" in rule
+    header = text.split("rule all:")[0].split('"""')[2].replace("config.get", "dict().get")
+    said: dict[str, object] = {}
+    exec(compile(header, "Snakefile", "exec"), said)
+    assert said["CAPTURES"] == {folder.name: str(folder) for folder in captures}
+    assert said["PRESET"] == "tiny" and said["WORKSPACES"] == str(tmp_path / "subjects")
 
 
 def test_what_cannot_be_a_workflow(tmp_path: Path, captures: list[Path]) -> None:

@@ -57,7 +57,8 @@ def judge(
             broken.append(f"{name} is not installed: install gw again with its dependencies.")
     for name in _NEEDED:
         if name in failed:
-            broken.append(f"{name} does not work here ({failed[name]}): install it again.")
+            cure = "" if "apt install" in failed[name] else ": install it again."
+            broken.append(f"{name} does not work here ({failed[name]}){cure}")
     if not machine.writable:
         broken.append("Nothing can be written here: choose another folder, or mend its permissions.")
     if machine.free_memory_bytes < _NEEDED_MEMORY:

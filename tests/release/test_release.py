@@ -14,6 +14,8 @@ from pathlib import Path
 
 import pytest
 
+from stages.shared.meshes.open3d_loader import SYSTEM_LIBRARIES
+
 REPOSITORY = Path(__file__).resolve().parents[2]
 PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())
 
@@ -68,11 +70,58 @@ def test_the_changelog_speaks_of_what_comes() -> None:
     )
 
 
+def container() -> list[tuple[str, str]]:
+    """Instructions of the container file, continued lines joined: name and the rest."""
+    text = (REPOSITORY / "Containerfile").read_text().replace("\\\n", " ")
+    lines = [line.strip() for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    return [(name, " ".join(rest.split())) for name, _, rest in (line.partition(" ") for line in lines)]
+
+
 def test_the_container_has_no_root_and_no_open_end() -> None:
-    lines = (REPOSITORY / "Containerfile").read_text().splitlines()
-    users = [line.split()[1] for line in lines if line.startswith("USER ")]
-    assert users == ["gw"]
-    assert any("-c /tmp/constraints.txt" in line for line in lines), "the lock holds in the container too"
+    told = container()
+    assert [rest for name, rest in told if name == "USER"] == ["1000"]
+    (install,) = [rest for name, rest in told if name == "RUN" and "pip install" in rest]
+    assert "-c /tmp/constraints.txt" in install, "the lock holds in the container too"
+    order = [name for name, _ in told]
+    assert order.index("USER") > max(index for index, name in enumerate(order) if name == "RUN")
+    (base,) = [rest for name, rest in told if name == "FROM"]
+    version = re.fullmatch(r"python:(\d+)\.(\d+)-slim", base)
+    assert version and int(version[1]) == 3
+    assert f">=3.{min(11, int(version[2]))}" == PROJECT["project"]["requires-python"]
+    assert any(f"Python :: 3.{version[2]}" in row for row in PROJECT["project"]["classifiers"])
+
+
+def test_the_container_copies_what_there_is_and_starts_what_is_installed() -> None:
+    """Every file that is copied is there (or made by the build) and let through to the daemon."""
+    let_through = [
+        line[1:]
+        for line in (REPOSITORY / ".containerignore").read_text().splitlines()
+        if line.startswith("!")
+    ]
+    for source in (rest.split()[0] for name, rest in container() if name == "COPY"):
+        assert source in let_through
+        assert source == "dist/*.whl" or (REPOSITORY / source).is_file()
+    (start,) = [json.loads(rest) for name, rest in container() if name == "ENTRYPOINT"]
+    assert start[0] in PROJECT["project"]["scripts"]
+    (packages,) = [rest for name, rest in container() if name == "RUN" and "apt-get install" in rest]
+    assert set(SYSTEM_LIBRARIES.values()) <= set(packages.split()), "what open3d links against"
+    (words,) = [json.loads(rest) for name, rest in container() if name == "CMD"]
+    done = subprocess.run(
+        [sys.executable, "-m", "gw_cli", *words], cwd=REPOSITORY, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0 and "register-template" in done.stdout
+
+
+def test_the_metadata_is_whole() -> None:
+    project = PROJECT["project"]
+    assert project["license"] == "Apache-2.0" and (REPOSITORY / project["license-files"][0]).is_file()
+    assert project["dynamic"] == ["version"], "the version is the tag"
+    assert {"description", "readme", "keywords", "classifiers"} <= set(project)
+    for package in ("gw_cli", "stages"):
+        assert (REPOSITORY / package / "py.typed").is_file()
+    extras = set(project["optional-dependencies"])
+    said = (REPOSITORY / "docs/dependencies.md").read_text()
+    assert all(f"`{extra}`" in said for extra in extras), "every extra says what it is for"
 
 
 @pytest.fixture(scope="module")
@@ -101,6 +150,10 @@ def test_the_archives_hold_what_they_should(built: Path) -> None:
     inside = set(zipfile.ZipFile(wheel).namelist())
     assert set(data_files()) <= inside
     assert not [name for name in inside if name.startswith(("tests/", "docs/", "build/"))]
+    (about,) = [name for name in inside if name.endswith("/METADATA")]
+    metadata = zipfile.ZipFile(wheel).read(about).decode()
+    for row in ("License-Expression: Apache-2.0", "Classifier: Typing :: Typed", "Requires-Python: >=3.11"):
+        assert f"\n{row}\n" in metadata
     (source,) = built.glob("*.tar.gz")
     with tarfile.open(source) as archive:
         names = {name.partition("/")[2] for name in archive.getnames()}

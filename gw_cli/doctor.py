@@ -49,4 +49,5 @@ def register(app: typer.Typer) -> None:
                 console.warn(line)
             console.result({}, next_command=None if found.broken else "gw demo -o demo")
         if found.broken:
-            raise MissingInput(found.broken[0], "; ".join(found.broken[1:]) or "this machine", "See above.")
+            others = "; ".join(found.broken[1:]) or "this machine"
+            raise MissingInput(found.broken[0], others, "Do what it says, then run gw doctor again.")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -83,4 +84,5 @@ def try_program(name: str, program: str, seconds: float = _SECONDS) -> Check:
     if done.returncode < 0:
         return Check(name, False, f"ended by signal {-done.returncode}")
     last = done.stderr.strip().splitlines()
-    return Check(name, False, last[-1] if last else f"exit code {done.returncode}")
+    said = last[-1] if last else f"exit code {done.returncode}"
+    return Check(name, False, re.sub(r"^stages\.[\w.]+: ", "", said))  # our own errors speak for themselves

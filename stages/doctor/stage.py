@@ -57,8 +57,8 @@ def judge(
             broken.append(f"{name} is not installed: install gw again with its dependencies.")
     for name in _NEEDED:
         if name in failed:
-            cure = "" if "apt install" in failed[name] else ": install it again."
-            broken.append(f"{name} does not work here ({failed[name]}){cure}")
+            cure = "" if "apt install" in failed[name] else " Install it again."
+            broken.append(f"{name} does not work here: {failed[name].rstrip('.')}.{cure}")
     if not machine.writable:
         broken.append("Nothing can be written here: choose another folder, or mend its permissions.")
     if machine.free_memory_bytes < _NEEDED_MEMORY:

@@ -20,6 +20,12 @@ def register(bench: typer.Typer) -> None:
         preset: Preset = "draft",
         steps: Annotated[int, typer.Option(min=1, help="Training steps that are timed per row.")] = 5,
         frames: Annotated[int, typer.Option(min=1, help="Frames that are played per row.")] = 12,
+        rounds: Annotated[
+            int, typer.Option(min=1, help="How often all economies and none are measured, in turns.")
+        ] = 3,
+        minutes: Annotated[
+            float, typer.Option(min=0, help="Leave out rows that would take longer in all; 0: no limit.")
+        ] = 0.0,
         row: Annotated[
             str,
             typer.Option(
@@ -32,15 +38,17 @@ def register(bench: typer.Typer) -> None:
 
         A training step and a played frame with all economies, then with one left out at a time: windows of
         the maps, networks left out, one network pass for several cameras, one traversal for all pictures,
-        crops, hidden Gaussians, fused posing. Every row runs in a process of its own. PSNR is that of
-        training pictures, inside the masks. The frames need a trained subject.
+        crops, hidden Gaussians, fused posing, the penetration pass on tile lists, frames side by side. All
+        of them together against none come first, in turns, and make the summary. Every row runs in a process
+        of its own. PSNR is that of training pictures, inside the masks. The frames need a trained subject.
         """
         from stages.train.config import PRESETS
         from stages.train.economy import EconomyConfig, measure_row, run
 
-        console, config = Console(as_json), EconomyConfig(steps, frames)
+        console, config = Console(as_json), EconomyConfig(steps, frames, rounds, minutes)
         train = preset_config(PRESETS, preset)
         if row:
             console.result(measure_row(subject, row, train, config))
             return
-        console.result(run(subject, output, preset, config, console))
+        found = run(subject, output, preset, config, console)
+        console.result(found, next_command=f"cat {output}/economy.md")

@@ -1,18 +1,19 @@
 """What each economy saves: a training step and a played frame, with all economies and with one left out.
 
 Reads what `gw train` reads, and for the frames its result. Writes, into the output folder:
-    economy.json: {"rows": [{"part", "without", "seconds", "peak_bytes", "slower", "psnr", …}]};
-    economy.md: the same as a table.
+    economy.json: {"summary": [{"part", "on", "off", "times_faster", …}], "left_out": [row …],
+        "rows": [{"row", "without", "seconds", "peak_bytes", "slower", "psnr", …}]};
+    economy.md: the same as tables.
 
 Every row is measured by a process of its own (`gw bench economy SUBJECT --row NAME`), so that its peak memory
-is its own. The first row of each part has all economies and is what the others are compared with.
+is its own. The first row of each part has all economies and is what the others are compared with. The rows
+with all and with none take turns, as many times as there are rounds, before the others.
 """
 
 from __future__ import annotations
 
 import statistics
 import time
-from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,19 +24,24 @@ import torch
 from stages.pipeline import BAKE_MAPS, REGISTER_TEMPLATE, TRAIN
 from stages.shared.artifacts import Workspace, write_whole
 from stages.shared.artifacts.canonical import readable_json
+from stages.shared.avatar.compose import compose
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.commands import run_command
 from stages.shared.errors import UsageProblem
 from stages.shared.outfit.hidden import plan_hidden
 from stages.shared.outfit.outfit import outfit_of_training
 from stages.shared.outfit.penetration import PenetrationConfig
-from stages.shared.outfit.picture import take_picture
+from stages.shared.outfit.picture import Shot, take_picture
+from stages.shared.outfit.playback import side_by_side
 from stages.shared.outfit.player import Player
 from stages.shared.report import SILENT, Report
 from stages.train.config import TrainConfig
-from stages.train.data import TrainingViews, View
+from stages.train.data import View
+from stages.train.economy_table import compared, markdown, summed_up
+from stages.train.objective import render
 from stages.train.stage import prepare
 from stages.train.timing import TimingConfig, measure
+from stages.train.trainer import Trainer
 
 STEP_ROWS: dict[str, str] = {
     "step": "all economies",
@@ -44,24 +50,39 @@ STEP_ROWS: dict[str, str] = {
     "step-pass-per-camera": "the networks run once for every camera",
     "step-separate-pictures": "colours, labels and the body alone are drawn by a call each",
     "step-whole-images": "pictures are not cropped to the subject",
+    "step-same-networks": "none of these, but networks where the preset has them",
     "step-nothing-saved": "none of these",
 }
 FRAME_ROWS: dict[str, str] = {
     "frame": "all economies",
     "frame-no-cull": "body Gaussians that nobody can see are drawn",
     "frame-plain": "posed layer by layer in torch, not by the fused kernel",
+    "frame-whole-layers": "the penetration pass draws every layer alone over the whole picture",
+    "frame-one-at-a-time": "one frame after the other, all cores at each",
     "frame-nothing-saved": "none of these",
 }
 ROWS = {**STEP_ROWS, **FRAME_ROWS}
+ENDS = ("step", "step-nothing-saved", "frame", "frame-nothing-saved")
+"""What the summary compares; measured first, in turns."""
 RESULT_NAME, TABLE_NAME = "economy.json", "economy.md"
+_PASSES = 3  # over the frames, each timed
 
 
 @dataclass(frozen=True)
 class EconomyConfig:
-    """steps: of training that are timed. frames: that are played and compared with the truth."""
+    """What is measured.
+
+    Attributes:
+        steps: of training that are timed. frames: that are played and compared with the truth.
+        rounds: how often the rows with all economies and with none are measured, in turns; the other rows
+            are measured once.
+        minutes: leave out rows that would take longer than this in all; 0 for no limit.
+    """
 
     steps: int = 5
     frames: int = 12
+    rounds: int = 1
+    minutes: float = 0.0
 
 
 def run(
@@ -72,19 +93,43 @@ def run(
     Raises:
         UsageProblem: nothing to measure. CommandFailed: a row failed, as the frames of an untrained subject.
     """
-    if config.steps < 1 or config.frames < 1:
-        raise UsageProblem("There is nothing to measure.", "options --steps and --frames", "Give more.")
-    rows: list[dict[str, Any]] = []
-    for index, name in enumerate(ROWS):
+    if min(config.steps, config.frames, config.rounds) < 1:
+        raise UsageProblem(
+            "There is nothing to measure.", "options --steps, --frames and --rounds", "Give more."
+        )
+    started, longest = time.monotonic(), {"step": 0.0, "frame": 0.0}
+    found: dict[str, list[dict[str, Any]]] = {}
+    left_out: list[str] = []
+    order = [*ENDS * config.rounds, *(name for name in ROWS if name not in ENDS)]
+    for index, name in enumerate(order):
+        part = name.split("-")[0]
+        passed = time.monotonic() - started
+        if config.minutes and set(ENDS) <= set(found) and passed + longest[part] > 60 * config.minutes:
+            left_out += [name] if name not in found else []
+            continue
         report.step(ROWS[name])
         done = run_command(
             "bench", "economy", subject, "--row", name, "--preset", preset,
             "--steps", str(config.steps), "--frames", str(config.frames),
         )  # fmt: skip
-        rows.append({**done.result, "peak_bytes": done.peak_bytes})
-        write_results(output, rows, preset, config)
-        report.progress(index + 1, len(ROWS))
-    return {"path": output, "rows": compared(rows)}
+        found.setdefault(name, []).append({**done.result, "peak_bytes": done.peak_bytes})
+        longest[part] = max(longest[part], done.seconds)
+        rows = [_median(found[name]) for name in ROWS if name in found]
+        told = write_results(output, rows, left_out, preset, config)
+        report.progress(index + 1, len(order))
+    told = write_results(output, rows, left_out, preset, config)
+    return {"path": output, **told}
+
+
+def _median(rounds: list[dict[str, Any]]) -> dict[str, Any]:
+    """One row of all its rounds."""
+    seconds = [row["seconds"] for row in rounds]
+    return {
+        **rounds[0],
+        "seconds": statistics.median(seconds),
+        "seconds_of_rounds": seconds,
+        "peak_bytes": max(row["peak_bytes"] for row in rounds),
+    }
 
 
 def measure_row(subject: Path, name: str, train: TrainConfig, config: EconomyConfig) -> dict[str, Any]:
@@ -106,57 +151,46 @@ def whole_grid(maps: LayerMaps) -> LayerMaps:
     return replace(maps, window=(0, 0, maps.grid_size, maps.grid_size))
 
 
-def compared(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Rows with how much slower they are, and how many dB lower, than the first of their part."""
-    first = {name: row for row in rows for name in ("step", "frame") if row["row"] == name}
-    found = []
-    for row in rows:
-        base = first[row["row"].split("-")[0]]
-        more = {"slower": round(row["seconds"] / base["seconds"], 3)}
-        if "psnr" in row:
-            more["psnr_difference"] = round(base["psnr"] - row["psnr"], 4)
-        found.append({**row, **more})
-    return found
-
-
-def write_results(output: Path, rows: list[dict[str, Any]], preset: str, config: EconomyConfig) -> None:
-    """Result and table of the rows so far."""
+def write_results(
+    output: Path, rows: list[dict[str, Any]], left_out: list[str], preset: str, config: EconomyConfig
+) -> dict[str, Any]:
+    """Result and table of the rows so far; returns summary, rows and what was left out."""
     told = compared(rows)
-    content = {"format": "gw-economy", "version": 1, "preset": preset, "config": asdict(config), "rows": told}
+    result = {"summary": summed_up(told), "left_out": left_out, "rows": told}
+    content = {"format": "gw-economy", "version": 2, "preset": preset, "config": asdict(config), **result}
     write_whole(output / RESULT_NAME, readable_json(content))
-    write_whole(output / TABLE_NAME, markdown(told).encode())
-
-
-def markdown(rows: list[dict[str, Any]]) -> str:
-    """The table; `rows` as `compared` gives them."""
-    lines = ["| | milliseconds | times slower | peak MB | PSNR against the truth, dB | economies cost, dB |"]
-    lines.append("|---|---:|---:|---:|---:|---:|")
-    for row in rows:
-        psnr = f"{row['psnr']:.3f} | {-row['psnr_difference']:.3f}" if "psnr" in row else " | "
-        part = row["row"].split("-")[0]
-        lines.append(
-            f"| {part}: {row['without']} | {1000 * row['seconds']:.1f} | {row['slower']:.2f} | "
-            f"{row['peak_bytes'] / 1e6:.0f} | {psnr} |"
-        )
-    return "\n".join(lines) + "\n"
+    write_whole(output / TABLE_NAME, markdown(result, ROWS).encode())
+    return result
 
 
 def _step(subject: Path, name: str, train: TrainConfig, config: EconomyConfig) -> dict[str, Any]:
-    """Seconds of a late training step."""
-    nothing = name == "step-nothing-saved"
-    if nothing or name == "step-all-networks":
+    """Seconds of a late training step, and PSNR (dB) of the pictures that training begins with."""
+    nothing = name in ("step-nothing-saved", "step-same-networks")
+    if name in ("step-nothing-saved", "step-all-networks"):
         train = replace(train, model=replace(train.model, networks="all"))
     trainer = prepare(subject, train, whole_grid if nothing or name == "step-whole-grid" else None)
     trainer.views.crops = not (nothing or name == "step-whole-images")
     trainer.one_pass = trainer.one_pass and not (nothing or name == "step-pass-per-camera")
+    psnr = _first_pictures(trainer, config.frames)
     found = measure(trainer, TimingConfig(steps=config.steps).steps, SILENT)
     separate = nothing or name == "step-separate-pictures"
     return {
         "seconds": found["step_seconds_separate" if separate else "step_seconds"],
+        "psnr": psnr,
         "gaussians": found["gaussians"],
         "parameters": sum(parameter.numel() for parameter in trainer.parameters.values()),
         "pixels": found["pixels"],
     }
+
+
+@torch.no_grad()
+def _first_pictures(trainer: Trainer, count: int) -> float:
+    """Mean PSNR (dB) of a trainer's pictures inside the masks, before it has learned anything."""
+    found = []
+    for view in _views(trainer, count):
+        picture = render(compose(trainer.posed(view.frame)), view.camera)
+        found.append(_psnr(picture.color.numpy(), view))
+    return float(np.mean(found))
 
 
 def _frame(subject: Path, name: str, train: TrainConfig, config: EconomyConfig) -> dict[str, Any]:
@@ -164,30 +198,44 @@ def _frame(subject: Path, name: str, train: TrainConfig, config: EconomyConfig) 
     workspace = Workspace(subject)
     outfit = outfit_of_training(*(workspace.require(spec) for spec in (REGISTER_TEMPLATE, BAKE_MAPS, TRAIN)))
     trainer = prepare(subject, train)
-    poses, shown = trainer.views.poses, _views(trainer.views, trainer.frames, trainer.cameras, config.frames)
-    nothing = name == "frame-nothing-saved"
-    cull = not (nothing or name == "frame-no-cull")
-    hidden = plan_hidden(outfit, poses, trainer.frames) if cull else None
-    player = Player(outfit, hidden=hidden)
-    posed: Callable[..., Any] = outfit.composite if nothing or name == "frame-plain" else player.composite
-    seconds, errors, drawn = [], [], 0
-    for view in [shown[0], *shown]:
-        started = time.perf_counter()
-        composite = posed(poses, view.frame)
-        shot = take_picture(composite, view.camera, PenetrationConfig())
-        seconds.append(time.perf_counter() - started)
-        inside = view.inside.numpy() > 0
-        errors.append(float(np.square(shot.color - view.image.numpy())[inside].mean()))
-        drawn = len(composite.means)
+    poses, shown = trainer.views.poses, _views(trainer, config.frames)
+
+    def without(row: str) -> bool:
+        return name in (row, "frame-nothing-saved")
+
+    hidden = None if without("frame-no-cull") else plan_hidden(outfit, poses, trainer.frames)
+    plain, whole_layers = without("frame-plain"), without("frame-whole-layers")
+    threads = 1 if without("frame-one-at-a-time") else torch.get_num_threads()
+
+    def work(player: Player, view: View) -> Shot:
+        composite = (outfit if plain else player).composite(poses, view.frame)
+        return take_picture(composite, view.camera, PenetrationConfig(), whole_layers=whole_layers)
+
+    ahead = 2 * threads  # frames in flight when the clock starts
+    items = shown[:1] * ahead + shown * _PASSES
+    times, errors = [], []
+    for index, shot in enumerate(side_by_side(outfit, items, work, threads, hidden)):
+        times.append(time.perf_counter())
+        if ahead <= index < ahead + len(shown):
+            errors.append(_psnr(shot.color, shown[index - ahead]))
+    ends = [times[ahead - 1 + turn * len(shown)] for turn in range(_PASSES + 1)]
     return {
-        "seconds": statistics.median(seconds[1:]),
-        "psnr": float(np.mean([-10 * np.log10(max(error, 1e-12)) for error in errors[1:]])),
-        "gaussians": drawn,
+        "seconds": statistics.median(np.diff(ends)) / len(shown),
+        "psnr": float(np.mean(errors)),
+        "gaussians": outfit.gaussians - (0 if hidden is None else int(hidden.sum())),
         "threads": torch.get_num_threads(),
     }
 
 
-def _views(views: TrainingViews, frames: list[int], cameras: Sequence[str], count: int) -> list[View]:
+def _psnr(color: Any, view: View) -> float:
+    """dB inside the mask of a view; color (H, W, 3) on black."""
+    inside = view.inside.numpy() > 0
+    error = float(np.square(color - view.image.numpy())[inside].mean())
+    return -10 * float(np.log10(max(error, 1e-12)))
+
+
+def _views(trainer: Trainer, count: int) -> list[View]:
     """Training pictures, spread over frames and cameras."""
+    frames, cameras = trainer.frames, trainer.cameras
     rows = np.linspace(0, len(frames) - 1, min(count, len(frames))).round().astype(int)
-    return [views.view(frames[row], cameras[place % len(cameras)]) for place, row in enumerate(rows)]
+    return [trainer.views.view(frames[row], cameras[place % len(cameras)]) for place, row in enumerate(rows)]

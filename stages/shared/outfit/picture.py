@@ -70,6 +70,7 @@ def take_picture(
     each_layer: bool = False,
     backend: str = "auto",
     cutoffs: CutOffs = FINE,
+    whole_layers: bool = False,
 ) -> Shot:
     """Render a composite through a camera.
 
@@ -77,6 +78,8 @@ def take_picture(
         penetration: run the penetration pass with these tolerances; None leaves the splats as they are.
         each_layer: also return every layer alone.
         cutoffs: of the splatting.
+        whole_layers: draw every layer alone over the whole picture for the pass, also where no pixel depends
+            on it; the same picture, later (for measuring).
 
     Raises:
         UsageProblem: cut-offs that are not possible.
@@ -92,7 +95,8 @@ def take_picture(
             )
             nothing = None if penetration is None else np.zeros(tuple(picture.alpha.shape), bool)
             return _shot(picture, composite.layers, repaired=nothing)
-        if not each_layer and penetration is not None and _on_cpu(composite, backend):
+        on_lists = not (each_layer or whole_layers) and _on_cpu(composite, backend)
+        if on_lists and penetration is not None:
             from stages.shared.splat.cpu_layers import layered_view
 
             seen = layered_view(

@@ -14,7 +14,8 @@ from gw_cli.app import app
 from stages.shared.commands import Outcome
 from stages.shared.errors import MissingInput, UsageProblem
 from stages.train import economy, stage
-from stages.train.economy import ROWS, STEP_ROWS, EconomyConfig, compared, markdown, measure_row, whole_grid
+from stages.train.economy import ENDS, ROWS, STEP_ROWS, EconomyConfig, measure_row, whole_grid
+from stages.train.economy_table import compared, markdown, summed_up
 from tests.stages.train.scene import make_subject, tiny
 
 CONFIG, TRAIN = EconomyConfig(steps=1, frames=2), tiny(steps=4)
@@ -47,8 +48,11 @@ def test_rows_leave_out_what_they_say(rows: dict[str, dict[str, Any]]) -> None:
         }
         assert same == {key: all_of_them[key] for key in same}
     assert rows["step-nothing-saved"]["pixels"] == rows["step-whole-images"]["pixels"]
-    for name in ("frame-no-cull", "frame-plain", "frame-nothing-saved"):
-        assert rows[name]["psnr"] == pytest.approx(rows["frame"]["psnr"], abs=0.05), name
+    assert rows["step-same-networks"]["parameters"] <= rows["step-nothing-saved"]["parameters"]
+    for name, row in rows.items():
+        exact = name.startswith("step") or name in ("frame-whole-layers", "frame-one-at-a-time")
+        base = rows[name.split("-")[0]]["psnr"]
+        assert row["psnr"] == pytest.approx(base, abs=1e-3 if exact else 0.05), name
     assert rows["frame-no-cull"]["gaussians"] == all_of_them["gaussians"]
 
 
@@ -86,12 +90,16 @@ def test_command_measures_every_row_in_its_process(
     out = tmp_path / "economy"
     done = CliRunner().invoke(app, ["bench", "economy", "SUBJECT", "-o", str(out), "--json"])
     assert done.exit_code == 0, done.output
-    assert asked == list(ROWS)
+    assert asked[:12] == [*ENDS] * 3 and sorted(asked[12:]) == sorted(set(ROWS) - set(ENDS))
     stored = json.loads((out / "economy.json").read_bytes())
-    assert [row["row"] for row in stored["rows"]] == asked and stored["rows"][0]["slower"] == 1.0
+    assert [row["row"] for row in stored["rows"]] == list(ROWS) and stored["rows"][0]["slower"] == 1.0
+    assert [len(row["seconds_of_rounds"]) for row in stored["rows"] if row["row"] in ENDS] == [3] * 4
+    assert [entry["off_is"] for entry in stored["summary"]] == [
+        "step-nothing-saved", "step-same-networks", "frame-nothing-saved",
+    ]  # fmt: skip
     table = (out / "economy.md").read_text()
     assert all(f"{text} |" in table for text in ROWS.values())
-    assert table.count("\n") == len(ROWS) + 2
+    assert table.count("\n") == len(ROWS) + 2 + 1 + 3 + 2
 
 
 def test_one_row_by_itself_and_what_is_refused(subject: Path) -> None:
@@ -103,13 +111,31 @@ def test_one_row_by_itself_and_what_is_refused(subject: Path) -> None:
         economy.run(subject, subject, "tiny", EconomyConfig(steps=0))
 
 
+def test_minutes_leave_rows_out_but_never_the_summary(
+    rows: dict[str, dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def slow(*words: str | Path, folder: Path | None = None) -> Outcome:
+        return Outcome(40.0, 10**8, rows[str(words[words.index("--row") + 1])])
+
+    monkeypatch.setattr(economy, "run_command", slow)
+    found = economy.run(tmp_path, tmp_path / "out", "tiny", EconomyConfig(rounds=2, minutes=0.5))
+    assert [row["row"] for row in found["rows"]] == [name for name in ROWS if name in ENDS]
+    assert set(found["left_out"]) == set(ROWS) - set(ENDS) and len(found["summary"]) == 2
+    assert "Not measured" in (tmp_path / "out" / "economy.md").read_text()
+
+
 def test_differences_are_against_the_first_of_the_part() -> None:
     rows = [
         {"row": "step", "without": "a", "seconds": 2.0, "peak_bytes": 1},
-        {"row": "step-x", "without": "b", "seconds": 3.0, "peak_bytes": 1},
+        {"row": "step-nothing-saved", "without": "b", "seconds": 6.0, "peak_bytes": 1},
         {"row": "frame", "without": "c", "seconds": 0.1, "peak_bytes": 1, "psnr": 20.0},
-        {"row": "frame-x", "without": "d", "seconds": 0.2, "peak_bytes": 1, "psnr": 20.25},
+        {"row": "frame-nothing-saved", "without": "d", "seconds": 0.2, "peak_bytes": 1, "psnr": 20.25},
     ]
     told = compared(rows)
-    assert [row["slower"] for row in told] == [1.0, 1.5, 1.0, 2.0]
-    assert told[3]["psnr_difference"] == -0.25 and "20.250 | 0.250" in markdown(told)
+    assert [row["slower"] for row in told] == [1.0, 3.0, 1.0, 2.0]
+    assert told[3]["psnr_difference"] == -0.25
+    step, frame = summed_up(told)
+    assert step["times_faster"] == 3.0 and step["goal_met"]
+    assert frame["times_faster"] == 2.0 and frame["costs_decibels"] == 0.25 and not frame["goal_met"]
+    table = markdown({"summary": [step, frame], "rows": told, "left_out": []}, ROWS)
+    assert "20.250 | 0.250" in table and "| 20.000 / 20.250 |" in table

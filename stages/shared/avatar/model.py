@@ -16,6 +16,7 @@ from torch import Tensor, nn
 
 from stages.shared.avatar.anchors import AnchorOffsets, sampled_maps
 from stages.shared.avatar.config import ModelConfig
+from stages.shared.avatar.fallback import shrunken_mean
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.avatar.motion import motion_length, motion_scale
 from stages.shared.avatar.pose_prior import PosePrior
@@ -127,10 +128,12 @@ class LayerModel(TexelAttributes):
 
     @torch.no_grad()
     def fit_mean(self, poses: list[Tensor], motions: list[Tensor] | None = None) -> None:
-        """Let poses unlike every anchor fade to the mean residual of training poses, each (55, 4, 4).
+        """Let poses unlike every anchor fade to a share of the training's mean residual.
 
-        What a network answers far from what it was trained with is a guess; the mean is a safer one. Call it
-        once, when training is over. From here on, poses outside the training's are projected on its prior.
+        What a network answers far from what it was trained with is a guess; the mean is a safer one, and how
+        much of it is found by leaving out parts of the take (`shrunken_mean`). `poses`, (55, 4, 4) each, are
+        in order of time. Call it once, when training is over. From here on, poses outside the training's are
+        projected on its prior.
         """
         if not poses:
             return
@@ -146,11 +149,10 @@ class LayerModel(TexelAttributes):
 
     def _fit_fading(self, poses: list[Tensor], motions: list[Tensor] | None) -> None:
         self.fading.zero_()
-        total = torch.zeros_like(self.mean_residual)
         still: list[None] = [None] * len(poses)
-        for pose, motion in zip(poses, motions or still, strict=True):
-            total += self.residual(pose, motion=motion)
-        self.mean_residual.copy_(total / len(poses))
+        seen = list(zip(poses, motions or still, strict=True))
+        mean, _ = shrunken_mean(lambda index: self.residual(seen[index][0], motion=seen[index][1]), len(seen))
+        self.mean_residual.copy_(mean)
         self.fading.fill_(1.0)
 
     def residual(

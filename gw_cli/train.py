@@ -150,9 +150,14 @@ def register(app: typer.Typer) -> None:
         goes on from there. Losses and times go to metrics.jsonl, previews (truth, render, labels) beside it.
         An outer garment is learned best over a known body: train the inner outfit as a subject of its own
         first, then this one with --from-subject.
+
+        On several processes, also of several machines: torchrun --nproc-per-node 2 -m gw_cli train SUBJECT …
+        Each draws --views-per-step cameras of the same frame.
         """
+        from stages.shared.report import SILENT
         from stages.train import stage
         from stages.train.config import METHODS, PRESETS
+        from stages.train.distributed import joined
 
         console = Console(as_json)
         chosen: dict[str, Any] = {
@@ -188,15 +193,20 @@ def register(app: typer.Typer) -> None:
         if dry_run:
             console.plan(stage.plan(subject, config, perceptual_weights, from_subject))
             return
-        result = stage.run(
-            subject,
-            config,
-            console,
-            force=force,
-            perceptual_weights=perceptual_weights,
-            from_subject=from_subject,
-            tensorboard=tensorboard,
-        )
+        with joined(device) as processes:
+            heard = console if processes.first else SILENT
+            result = stage.run(
+                subject,
+                config,
+                heard,
+                force=force,
+                perceptual_weights=perceptual_weights,
+                from_subject=from_subject,
+                tensorboard=tensorboard,
+                processes=processes,
+            )
+        if not processes.first:
+            return
         console.result(
             {"artifact": result.artifact.path, **result.summary},
             next_command=f"gw export-garment {subject} --layer body -o body.gwg"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import torch
+from torch import Tensor
 
 from stages.shared.artifacts import Progress
 from stages.shared.errors import BadData
@@ -81,10 +82,31 @@ def restore(progress: Progress, trainer: Trainer) -> RunState:
     return state
 
 
+def spread(trainer: Trainer, state: RunState) -> None:
+    """Let all processes of the run stand where the first stands, to the bit."""
+    processes, optimizer = trainer.processes, trainer.optimizer
+    if processes.count == 1:
+        return
+    numbers = torch.tensor(list(vars(state).values()), dtype=torch.float64)
+    learned = torch.tensor([float(p in optimizer.state) for p in trainer.parameters.values()])
+    buffers = [buffer for model in trainer.models.values() for buffer in model.buffers()]
+    processes.spread([numbers, learned, *trainer.parameters.values(), *buffers])
+    for (name, value), number in zip(vars(state).items(), numbers.tolist(), strict=True):
+        setattr(state, name, type(value)(number))
+    moments: list[Tensor] = []
+    for parameter, is_learned in zip(trainer.parameters.values(), learned.tolist(), strict=True):
+        if is_learned and parameter not in optimizer.state:
+            step = torch.zeros((), device=parameter.device if parameter.is_cuda else "cpu")
+            first, second = torch.zeros_like(parameter), torch.zeros_like(parameter)
+            optimizer.state[parameter] = {"step": step, "exp_avg": first, "exp_avg_sq": second}
+        if is_learned:
+            moments += optimizer.state[parameter].values()
+    processes.spread(moments)
+
+
 def write_repro(progress: Progress, trainer: Trainer, report: dict[str, object]) -> str:
     """Leave what is needed to repeat a step that was not finite; returns the folder."""
-    folder = progress.path / "repro"
-    folder.mkdir(exist_ok=True)
+    folder = progress.folder("repro")
     progress.write_json("repro/step.json", report)
     arrays = {name: p.detach().cpu().numpy() for name, p in trainer.parameters.items()}
     progress.write_arrays("repro/weights.safetensors", arrays, report)

@@ -26,6 +26,7 @@ _CHECKPOINT_SECONDS = 60.0
 _PREVIEW_SECONDS = 120.0
 _STEPS_PER_LINE = 10
 _MOST_SKIPPED = 3
+_STEPS_PER_LEVELLING = 200  # processes on unlike machines, or GPUs, may drift apart by roundings
 
 
 def learn(
@@ -37,15 +38,25 @@ def learn(
     board: Board | None = None,
 ) -> None:
     """Steps until the schedule ends; checkpoints, metrics and previews on the way, to a `board` too."""
-    config = trainer.config
+    config, processes = trainer.config, trainer.processes
     shown = preview_views(trainer.views, trainer.frames)
     pending: list[StepReport] = []
-    with _interrupt_flag() as interrupted:
+
+    def keep() -> None:
+        checkpoint.save(progress, trainer, state)
+
+    with _interrupt_flag() as interrupted, processes.failing_together(keep):
         _follow(trainer, progress, state, interrupted, report)
         report.step("train")
         saved = previewed = time.monotonic()
         _save_preview(trainer, progress, state, shown, board)
-        while schedule.progress(config, state.step, state.elapsed) < 1.0:
+        while True:
+            turn = processes.turn(state.elapsed, interrupted.is_set())
+            state.elapsed = turn.elapsed
+            if turn.stop:
+                _stop(trainer, progress, state, report, f"step {state.step}")
+            if schedule.progress(config, state.step, state.elapsed) >= 1.0:
+                break
             started = time.monotonic()
             done = trainer.step(state.step, state.elapsed)
             state.step += 1
@@ -59,16 +70,15 @@ def learn(
             before, state.elapsed = state.elapsed, state.elapsed + time.monotonic() - started
             if watch is not None:
                 watch.after_step(trainer, state.step, before, state.elapsed)
-            if interrupted.is_set() or time.monotonic() - saved > _CHECKPOINT_SECONDS:
-                checkpoint.save(progress, trainer, state)
+            if state.step % _STEPS_PER_LEVELLING == 0:
+                checkpoint.spread(trainer, state)
+            if time.monotonic() - saved > _CHECKPOINT_SECONDS:
+                keep()
                 saved = time.monotonic()
-            if interrupted.is_set():
-                report.say(f"checkpoint written at step {state.step}")
-                raise KeyboardInterrupt
             if time.monotonic() - previewed > _PREVIEW_SECONDS:
                 _save_preview(trainer, progress, state, shown, board)
                 previewed = time.monotonic()
-    checkpoint.save(progress, trainer, state)
+    keep()
     _save_preview(trainer, progress, state, shown, board)
     if pending:
         _note(progress, _line(pending, schedule.image_scale(config, 1.0)), board)
@@ -84,27 +94,32 @@ def _follow(
     trainer: Trainer, progress: Progress, state: RunState, interrupted: threading.Event, report: Report
 ) -> None:
     """Warm up and follow the garments through the take, where that is asked for and not yet done."""
-    tracker = trainer.tracker
+    tracker, processes = trainer.tracker, trainer.processes
     if tracker is None or state.step or state.tracked >= len(tracker.order):
         return
     report.step("track")
     saved = time.monotonic()
     while state.tracked < len(tracker.order):
         started = time.monotonic()
-        if state.tracked < 0:
-            trainer.warm_up()
-        else:
-            tracker.follow(state.tracked)
+        if processes.first:  # the others wait, and take over what it finds
+            trainer.warm_up() if state.tracked < 0 else tracker.follow(state.tracked)
         state.tracked += 1
-        state.elapsed += time.monotonic() - started
+        turn = processes.turn(state.elapsed + time.monotonic() - started, interrupted.is_set())
+        state.elapsed = turn.elapsed
         report.progress(state.tracked, len(tracker.order))
-        done = state.tracked == len(tracker.order)
-        if done or interrupted.is_set() or time.monotonic() - saved > _CHECKPOINT_SECONDS:
+        if turn.stop:
+            _stop(trainer, progress, state, report, f"frame {state.tracked}")
+        if state.tracked == len(tracker.order) or time.monotonic() - saved > _CHECKPOINT_SECONDS:
             checkpoint.save(progress, trainer, state)
             saved = time.monotonic()
-        if interrupted.is_set():
-            report.say(f"checkpoint written at frame {state.tracked}")
-            raise KeyboardInterrupt
+    processes.spread(list(trainer.parameters.values()))
+
+
+def _stop(trainer: Trainer, progress: Progress, state: RunState, report: Report, place: str) -> None:
+    """Leave a checkpoint, and the run."""
+    checkpoint.save(progress, trainer, state)
+    report.say(f"checkpoint written at {place}")
+    raise KeyboardInterrupt
 
 
 def _done(trainer: Trainer, state: RunState) -> float:
@@ -180,7 +195,9 @@ def _save_preview(
     shown: list[tuple[int, str]],
     board: Board | None,
 ) -> None:
-    (progress.path / "previews").mkdir(exist_ok=True)
+    if not trainer.processes.first:
+        return
+    progress.folder("previews")
     picture = preview(trainer, shown)
     png = encode_png(picture)
     progress.write_bytes(f"previews/step-{state.step:06d}.png", png)
@@ -190,7 +207,9 @@ def _save_preview(
 
 @contextmanager
 def _interrupt_flag() -> Iterator[threading.Event]:
-    """Ctrl-C sets a flag that the loop looks at between steps; a second one stops at once."""
+    """Ctrl-C, or a request to end, sets a flag that the loop looks at between steps; a second one stops at
+    once.
+    """
     flag = threading.Event()
     if threading.current_thread() is not threading.main_thread():
         yield flag
@@ -201,8 +220,9 @@ def _interrupt_flag() -> Iterator[threading.Event]:
             raise KeyboardInterrupt
         flag.set()
 
-    before = signal.signal(signal.SIGINT, remember)
+    before = {number: signal.signal(number, remember) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield flag
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -43,6 +43,7 @@ from stages.train.board import Board
 from stages.train.checkpoint import METRICS_NAME, RunState
 from stages.train.config import TrainConfig
 from stages.train.data import TrainingViews
+from stages.train.distributed import ALONE, Processes, Unwritten, for_all, local_rank
 from stages.train.loop import learn
 from stages.train.memory import available_bytes, memory_named, say_if_scarce
 from stages.train.method import settled
@@ -61,26 +62,29 @@ def run(
     watch: Watch | None = None,
     from_subject: Path | None = None,
     tensorboard: bool = False,
+    processes: Processes = ALONE,
 ) -> StageResult:
     """Train the layers of a subject; an interrupted run of the same configuration goes on where it stopped.
 
     Without `perceptual_weights` the LPIPS terms are off. `watch` is shown the outfit while it learns. With
     `from_subject`, layers begin as that trained subject has them, and its body stays as it is. With
-    `tensorboard`, metrics and previews also go to `SUBJECT/tensorboard/train-<key>`.
+    `tensorboard`, metrics and previews also go to `SUBJECT/tensorboard/train-<key>`. Of several
+    `processes` (`stages/train/distributed.py`) the first writes, and the others help it.
 
     Raises:
         MissingInput: an earlier stage has not run. BadData: three steps in a row were not finite.
         KeyboardInterrupt: after Ctrl-C, with a checkpoint written.
     """
-    config = _with_digest(config or TrainConfig(), perceptual_weights)
+    config = for_all(_with_digest(config or TrainConfig(), perceptual_weights), processes)
     if tensorboard:
         board.require()
     weights = settled(config).weights
     workspace = Workspace(subject)
     source = open_source(workspace, config, from_subject)
     inputs = source.inputs
-    found = None if force else workspace.find(TRAIN, config, inputs)
-    if found is not None:
+    found = None if force or not processes.first else workspace.find(TRAIN, config, inputs)
+    if processes.turn(stop=found is not None).stop:
+        found = found or workspace.require(TRAIN)
         report.say("up to date")
         return StageResult(found, found.summary)
     report.step("read")
@@ -92,17 +96,24 @@ def run(
     needed = cost.memory_bytes(source.layers(config.method).maps, settled(config))
     say_if_scarce(needed, available_bytes(), report)
     with memory_named(needed):
-        trainer = _trainer(source, config, _device(config.device), perceptual)
-    with memory_named(needed), workspace.progress(TRAIN, config, inputs, force=force) as progress:
+        trainer = _trainer(source, config, _device(config.device), perceptual, processes=processes)
+    folder = workspace.progress(TRAIN, config, inputs, force=force) if processes.first else Unwritten()
+    with memory_named(needed), folder as progress:
         state = checkpoint.restore(progress, trainer)
+        checkpoint.spread(trainer, state)
         if state.step:
             report.say(f"going on from step {state.step}")
         elif state.tracked > 0:
             report.say(f"going on from frame {state.tracked} of tracking")
         if watch is not None:
             watch.layer_ids = source.layers(config.method).layer_ids
-        with _board(workspace, progress, state, tensorboard, report) as shown:
-            learn(trainer, progress, state, report, watch, shown)
+        wanted = tensorboard and processes.first
+        with _board(workspace, progress, state, wanted, report) as shown:
+            learn(trainer, progress, state, report, watch if processes.first else None, shown)
+        if not processes.first:
+            processes.turn()  # until the first has written
+            found = workspace.require(TRAIN)
+            return StageResult(found, found.summary)
         trainer.finish()
         report.step("write")
         with workspace.build(TRAIN, config, inputs, force=force) as build:
@@ -118,6 +129,7 @@ def run(
                 build.write_bytes(f"previews/{picture.name}", picture.read_bytes())
             build.summary(**_summary(trainer, source.start, state, progress))
             build.measured(training_seconds=round(state.elapsed, 1))
+        processes.turn()
     return StageResult(build.artifact, build.artifact.summary)
 
 
@@ -193,7 +205,8 @@ def _device(name: str) -> torch.device:
         raise UsageProblem(f"There is no device {name!r}.", "option --device", "Choose auto, cpu or cuda.")
     if name == "cuda" and not torch.cuda.is_available():
         raise UsageProblem("No CUDA device was found.", "option --device", "Use --device cpu.")
-    return torch.device("cuda" if name != "cpu" and torch.cuda.is_available() else "cpu")
+    on_gpu = name != "cpu" and torch.cuda.is_available()
+    return torch.device("cuda", local_rank()) if on_gpu else torch.device("cpu")
 
 
 def _tracked_views(take: Take, config: TrainConfig) -> int:
@@ -209,6 +222,7 @@ def _trainer(
     device: torch.device,
     perceptual: Perceptual | None,
     change: Callable[[LayerMaps], LayerMaps] | None = None,
+    processes: Processes = ALONE,
 ) -> Trainer:
     body = BodyModel.from_arrays(source.registered.arrays("body.safetensors"))
     poses = load_poses(source.registered.file("smpl_params.npz"), body)
@@ -239,7 +253,7 @@ def _trainer(
             models[name] = new_model(layer.to(device), shape, frames, seed=config.seed + index).to(device)
     config = replace(config, weights=start.weights(config.weights))
     template_frame = int(source.registered.summary.get("frame", 0))
-    return Trainer(config, models, views, device, perceptual, template_frame, known)
+    return Trainer(config, models, views, device, perceptual, template_frame, known, processes)
 
 
 def _summary(trainer: Trainer, start: Start, state: RunState, progress: Progress) -> dict[str, Any]:

@@ -6,14 +6,13 @@ import math
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from stages.shared.avatar.blendshapes import GROUPS
-from stages.shared.avatar.compose import Composite, compose
+from stages.shared.avatar.compose import compose
 from stages.shared.avatar.decoder import AvatarModel
 from stages.shared.avatar.deform import PosedGaussians, pose_layer, view_cosines
 from stages.shared.avatar.motion import recent_motion
@@ -26,16 +25,17 @@ from stages.train import schedule
 from stages.train.begin import Beginnings, own_motion
 from stages.train.config import LossWeights, TrainConfig
 from stages.train.data import StepChoice, TrainingViews, choose
+from stages.train.distributed import ALONE, Processes
+from stages.train.leaves import detached, give_gradients, roots, take_gradients
 from stages.train.objective import Lens, Surfaces, picture_terms, surface_terms, weighted
+from stages.train.optimizer import adam, named_parameters
 from stages.train.tracking import Tracker, has_anchors
 from stages.train.warm_up import warm_up
 from stages.train.window import Window
 
-_ADAM_EPSILON = 1e-15  # gradients of single Gaussians are tiny; the usual 1e-8 would drown them
 _LATER_KINDS = ("quaternion", "opacity", "scale", "color")  # free attributes that wait for full-size pictures
 _EYE_NOISE = 0.1  # m, keeps colours from memorising the training cameras' directions
 _OFFSETS = torch.tensor([1.0] * 3 + [0.0] * 11)
-_LEAVES = ("means", "covariances", "opacities", "features")
 
 
 @dataclass
@@ -65,6 +65,7 @@ class Trainer:
         device: where everything is computed. perceptual: metric of the LPIPS terms; None: without.
         template_frame: the frame that the template was taken from.
         known: name to the model as it was, of layers that begin where another training ended.
+        processes: that share this run.
     """
 
     def __init__(
@@ -76,18 +77,20 @@ class Trainer:
         perceptual: Perceptual | None = None,
         template_frame: int = 0,
         known: Mapping[str, AvatarModel] | None = None,
+        processes: Processes = ALONE,
     ) -> None:
         if not any(has_anchors(model) for model in models.values()):  # nothing that could be followed
             config = replace(config, track=replace(config.track, frame_step=0))
         self.config, self.models, self.views, self.device = config, models, views, device
+        self.processes = processes
         # One network pass serves all cameras of a step, unless colours depend on the viewing direction.
         self.one_pass = not any(model.model_config.view_conditioning for model in models.values())
         self.perceptual = perceptual.to(device) if perceptual is not None else None
         self.frames = views.frames(config.frame_step)
         self.cameras = views.take.training_cameras
         self.surfaces = Surfaces.of({name: model.maps for name, model in models.items()})
-        self.parameters = dict(_named_parameters(models))
-        self.optimizer = _adam(config, models)
+        self.parameters = dict(named_parameters(models))
+        self.optimizer = adam(config, models)
         self._poses: dict[int, FramePose] = {}
         self.anchor_frames = views.frames(config.track.frame_step) if config.track.frame_step else self.frames
         self.beginnings = Beginnings(known or {}, models, views.poses, self.pose)
@@ -143,10 +146,12 @@ class Trainer:
         clock = _Clock()
         coarse = schedule.is_coarse(self.config, done)
         self.optimizer.zero_grad(set_to_none=True)
-        try:
-            terms = self._gradients(choice, weights, schedule.image_scale(self.config, done), coarse, clock)
-        except BadData:  # the splatter refuses Gaussians that are not finite
-            terms = {"total": math.nan}
+        terms = self._gradients(choice, weights, schedule.image_scale(self.config, done), coarse, clock)
+        if self.processes.count > 1 and not self.one_pass:
+            with clock("exchange"):
+                terms = self.processes.sum_terms(terms)
+                if math.isfinite(terms["total"]):
+                    self.processes.sum_gradients(self.parameters.values())
         with clock("optimiser"):
             norm = self._gradient_norm()
             finite = math.isfinite(terms["total"]) and math.isfinite(norm)
@@ -176,15 +181,20 @@ class Trainer:
     def _gradients(
         self, choice: StepChoice, weights: LossWeights, scale: float, coarse: bool, clock: _Clock
     ) -> dict[str, float]:
-        """Accumulate the gradients of a step; returns its terms."""
-        views = list(zip(choice.cameras, choice.backgrounds, strict=True))
+        """Accumulate the gradients of a step; returns its terms, `total` NaN where something was not finite.
+
+        With one pass of the networks, several processes exchange the gradients of the Gaussians; from there
+        on each computes the same. Else what is returned and accumulated is of this process's views.
+        """
+        views = self.processes.share(list(zip(choice.cameras, choice.backgrounds, strict=True)))
         groups = [views] if self.one_pass else [[view] for view in views]
-        sums: dict[str, float] = {}
+        sums = {"total": 0.0}
         for group in groups:
             with clock("network"):
-                posed = self.posed(choice.frame, coarse, self._cosines(choice, group[0][0]))
+                posed = self.posed(choice.frame, coarse, self._cosines(choice, group[0][0] if group else ""))
                 composite = compose(posed)
-            leaves = _detached(composite)
+            leaves = detached(composite)
+            seeds: list[Tensor] = []
             for camera, background in group:
                 with clock("data"):
                     view = self.views.view(choice.frame, camera, scale, self._window(choice, camera))
@@ -192,15 +202,32 @@ class Trainer:
                 with clock("splat"):
                     behind = torch.from_numpy(background).to(self.device)
                     lens = self._lens(choice.frame, view.camera)
-                    terms = picture_terms(leaves, view, behind, weights, self.config.label_kind, lens)
-                    _sum(terms, weights, 1.0 / len(views), sums).backward()
+                    try:
+                        terms = picture_terms(leaves, view, behind, weights, self.config.label_kind, lens)
+                        _sum(terms, weights, 1.0 / len(choice.cameras), sums).backward()
+                    except BadData:  # the splatter refuses Gaussians that are not finite
+                        sums["total"] = math.nan
+                        break
+                if self.processes.count > 1 and self.one_pass:
+                    seeds.append(take_gradients(leaves))
+            if self.processes.count > 1 and self.one_pass:
+                with clock("exchange"):
+                    sums = self.processes.sum_terms(sums)
+                    if math.isfinite(sums["total"]):
+                        give_gradients(
+                            leaves,
+                            self.processes.sum_in_order(seeds, len(choice.cameras), take_gradients(leaves)),
+                        )
+            if not math.isfinite(sums["total"]):
+                return sums
             with clock("surface"):
                 terms = surface_terms(posed, self.surfaces, weights, self.config.penetration_margin)
-                surface = _sum(terms, weights, 1.0 / len(groups), sums) if terms else None
+                part = 1.0 if self.one_pass else 1.0 / len(choice.cameras)
+                surface = _sum(terms, weights, part, sums) if terms else None
             with clock("network"):
-                pairs = [(getattr(composite, name), getattr(leaves, name).grad) for name in _LEAVES]
-                pairs = [(root, seed) for root, seed in pairs + [(surface, None)] if root is not None]
-                pairs = [(root, seed) for root, seed in pairs if root.requires_grad]
+                pairs = roots(composite, leaves)
+                if surface is not None and surface.requires_grad:
+                    pairs.append((surface, None))
                 torch.autograd.backward([root for root, _ in pairs], [seed for _, seed in pairs])
         return sums
 
@@ -272,55 +299,6 @@ class _Clock:
         started = time.perf_counter()
         yield
         self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - started
-
-
-def _named_parameters(models: dict[str, AvatarModel]) -> Iterator[tuple[str, torch.nn.Parameter]]:
-    for layer, model in models.items():
-        for name, parameter in model.named_parameters():
-            if parameter.requires_grad:
-                yield f"{layer}.{name}", parameter
-
-
-def _adam(config: TrainConfig, models: dict[str, AvatarModel]) -> torch.optim.Adam:
-    """Adam with one group per kind of parameter."""
-    groups: dict[str, list[torch.nn.Parameter]] = {}
-    rates = {**asdict(config.rates), **_basis_rates(config)}
-    for name, parameter in _named_parameters(models):
-        kind = name.split(".")[1]  # base_<attribute>, basis_<group>, anchors, or a part of the networks
-        kind = kind.removeprefix("base_") if kind.startswith("base_") else kind
-        kind = kind if kind in rates else "network"
-        groups.setdefault(kind, []).append(parameter)
-    return torch.optim.Adam(
-        [
-            {
-                "params": members,
-                "kind": kind,
-                "lr": rates[kind],
-                "start_rate": rates[kind],
-            }
-            for kind, members in groups.items()
-        ],
-        eps=_ADAM_EPSILON,
-        fused=True,
-    )
-
-
-def _basis_rates(config: TrainConfig) -> dict[str, float]:
-    """Step sizes of blendshapes: K bases of unit coefficients together move as fast as the attribute alone.
-
-    In units of the residual. A group of several attributes takes the slowest one's.
-    """
-    rates, model = config.rates, config.model
-    per_unit = {"offset": rates.offset / model.offset_scale, "color": rates.color}
-    per_unit["form"] = min(rates.quaternion, rates.opacity, rates.scale)
-    ranks = zip(GROUPS, model.ranks, strict=True)
-    return {f"basis_{group}": per_unit[group] / math.sqrt(max(rank, 1)) for group, rank in ranks}
-
-
-def _detached(composite: Composite) -> Composite:
-    """The same Gaussians as leaves of a new graph: pictures are then differentiated one after the other."""
-    leaves = {name: getattr(composite, name).detach().requires_grad_() for name in _LEAVES}
-    return replace(composite, **leaves)
 
 
 def _sum(terms: dict[str, Tensor], weights: LossWeights, share: float, sums: dict[str, float]) -> Tensor:

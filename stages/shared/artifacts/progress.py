@@ -35,6 +35,12 @@ class Progress:
         """Whether a file of this name was written."""
         return self._path(name).is_file()
 
+    def folder(self, name: str) -> Path:
+        """A folder inside this one, made if it is not there."""
+        folder = self._path(name)
+        folder.mkdir(exist_ok=True)
+        return folder
+
     def write_arrays(self, name: str, arrays: Mapping[str, Any], note: Any = None) -> None:
         """Replace a safetensors file; `note` (JSON types) is stored in the same file.
 

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from gw_cli.completion import PRESETS
 from gw_cli.console import Console, command
 from gw_cli.options import DryRun, Json, Preset, Seed, names
 from stages.shared.errors import UsageProblem
+
+if TYPE_CHECKING:
+    from stages.bench_tradeoff.config import Training
 
 
 def register(bench: typer.Typer) -> None:
@@ -24,6 +28,13 @@ def register(bench: typer.Typer) -> None:
         ] = 24.0,
         pitches: Annotated[
             str, typer.Option(help="Millimetres per texel, each trained once; default 6.5,9,13,20.")
+        ] = "",
+        also: Annotated[
+            str,
+            typer.Option(
+                metavar="PRESET:MINUTES,…",
+                help="Train whole presets too, each at its own pitch: balanced:12,tiny:1.",
+            ),
         ] = "",
         body_model: Annotated[Path | None, typer.Option(help="As in gw register-template.")] = None,
         size: Annotated[
@@ -56,11 +67,27 @@ def register(bench: typer.Typer) -> None:
             config = replace(config, pitches=_pitches(pitches))
         if trained_blendshapes:
             config = replace(config, decoders=(*config.decoders, TRAINED_BLENDSHAPES))
+        if also:
+            config = replace(config, also=_trainings(also))
         if dry_run:
             console.plan(stage.plan(capture, output, config))
             return
         result = stage.run(capture, output, config, console, body_model)
         console.result({"path": result.path, **result.summary})
+
+
+def _trainings(text: str) -> tuple[Training, ...]:
+    from stages.bench_tradeoff.config import Training
+
+    found = []
+    for part in names(text):
+        preset, _, minutes = part.partition(":")
+        if preset not in PRESETS or not minutes.replace(".", "", 1).isdigit() or not float(minutes):
+            raise UsageProblem(
+                f"{part!r} is no preset with minutes.", "option --also", "Give for example balanced:12."
+            )
+        found.append(Training(preset, float(minutes)))
+    return tuple(found)
 
 
 def _pitches(text: str) -> tuple[float, ...]:

@@ -25,6 +25,19 @@ TRAINED_BLENDSHAPES = Decoder("trained blendshapes", (24, 8, 4), trained=True)
 
 
 @dataclass(frozen=True)
+class Training:
+    """One training of the subject.
+
+    Attributes:
+        preset: of bake-maps and train. minutes: of training. pitch: mm per texel, None for the preset's own.
+    """
+
+    preset: str
+    minutes: float
+    pitch: float | None = None
+
+
+@dataclass(frozen=True)
 class BenchTradeoffConfig:
     """Which operating points are measured.
 
@@ -33,6 +46,7 @@ class BenchTradeoffConfig:
         preset: of every stage.
         pitches: millimetres per texel; each is trained once.
         decoders: each is played and scored for every pitch.
+        also: trainings of whole presets, played as they were trained.
         size: pixels, width and height of the pictures that are timed. frames: how many are timed.
         frame_step, test_frame_step: of the views that are scored, as in `gw evaluate`.
         seed: of the trainings.
@@ -42,8 +56,15 @@ class BenchTradeoffConfig:
     preset: str = "draft"
     pitches: tuple[float, ...] = (6.5, 9.0, 13.0, 20.0)
     decoders: tuple[Decoder, ...] = DECODERS
+    also: tuple[Training, ...] = ()
     size: int = 512
     frames: int = 40
     frame_step: int = 10
     test_frame_step: int = 2
     seed: int = 0
+
+    @property
+    def trainings(self) -> tuple[Training, ...]:
+        """One for every pitch, with an equal share of the minutes for each and each that decoders need."""
+        count = len(self.pitches) * (1 + sum(decoder.trained for decoder in self.decoders))
+        return tuple(Training(self.preset, self.minutes / count, pitch) for pitch in self.pitches)

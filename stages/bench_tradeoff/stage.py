@@ -17,7 +17,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from stages.bench_tradeoff.config import AS_TRAINED, BenchTradeoffConfig, Decoder
+from stages.bench_tradeoff.config import AS_TRAINED, BenchTradeoffConfig, Decoder, Training
 from stages.bench_tradeoff.figure import markdown, tradeoff_page, tradeoff_picture
 from stages.bench_tradeoff.front import OperatingPoint, on_front
 from stages.shared.artifacts import write_whole
@@ -29,6 +29,7 @@ from stages.shared.plan import Plan
 from stages.shared.report import SILENT, Report
 
 RESULT_NAME = "tradeoff.json"
+_NO_LIMIT = 1_000_000  # steps; the minutes end a training
 _SCORES = ("psnr_foreground", "ssim_foreground", "miou", "sharpness")
 
 
@@ -62,14 +63,17 @@ def run(
     for command in ("canonicalize", "segment-layers"):
         run_command(command, subject, "--preset", config.preset)
     points: list[OperatingPoint] = []
-    for pitch in config.pitches:
-        report.step(f"training at {pitch:g} mm")
-        layers, minutes = _train(subject, pitch, config)
-        for decoder in sorted(config.decoders, key=lambda decoder: decoder.trained):
+    played = [(training, config.decoders) for training in config.trainings]
+    played += [(training, (AS_TRAINED,)) for training in config.also]
+    for training, decoders in played:
+        report.step(f"{training.preset}: training for {training.minutes:g} minutes")
+        layers, pitch = _train(subject, training, config)
+        for decoder in sorted(decoders, key=lambda decoder: decoder.trained):
             if decoder.trained:  # last, because what is distilled is the latest training
-                _train(subject, pitch, config, decoder)
-            report.step(f"{decoder.name} at {pitch:g} mm")
-            points.append(_measure(subject, output, pitch, decoder, layers, minutes, config))
+                _train(subject, training, config, decoder)
+            point = _name(training, pitch, decoder, config)
+            report.step(point)
+            points.append(_measure(subject, output, point, pitch, decoder, layers, training, config))
             report.say(f"{points[-1].frames_per_second:.1f} frames/s, {points[-1].psnr_foreground:.2f} dB")
             write_results(output, capture.name, points, config)
     return BenchTradeoffResult(output, json.loads((output / RESULT_NAME).read_bytes()))
@@ -77,12 +81,13 @@ def run(
 
 def plan(capture: Path, output: Path, config: BenchTradeoffConfig = BenchTradeoffConfig()) -> Plan:
     """What `run` would cost; the measuring of a point is taken as a minute."""
-    points = len(config.pitches) * len(config.decoders)
+    points = len(config.pitches) * len(config.decoders) + len(config.also)
+    minutes = config.minutes + sum(training.minutes for training in config.also)
     return Plan(
         inputs=[str(capture)],
         outputs=[str(output / name) for name in (RESULT_NAME, "tradeoff.html", "tradeoff.png", "table.md")],
         config=asdict(config),
-        seconds=60.0 * (config.minutes + points),
+        seconds=60.0 * (minutes + points),
         memory_bytes=2_000_000_000,
         disk_bytes=points * 60_000_000,
     )
@@ -123,25 +128,21 @@ def bundles_of(folder: Path, point: OperatingPoint) -> list[Path]:
 
 
 def _train(
-    subject: Path, pitch: float, config: BenchTradeoffConfig, decoder: Decoder = AS_TRAINED
+    subject: Path, training: Training, config: BenchTradeoffConfig, decoder: Decoder = AS_TRAINED
 ) -> tuple[list[str], float]:
-    """Bake and train at a pitch; the layers, and the minutes that training was given."""
-    run_command("bake-maps", subject, "--preset", config.preset, "--pitch", f"{pitch:g}")
-    trainings = 1 + sum(decoder.trained for decoder in config.decoders)
-    minutes = config.minutes / (len(config.pitches) * trainings)
+    """Bake and train; the layers, and the pitch in mm per texel."""
+    fine = ["--pitch", f"{training.pitch:g}"] if training.pitch else []
+    baked = run_command("bake-maps", subject, "--preset", training.preset, *fine)
     kind = ["--decoder", "blendshapes", "--ranks", _text(decoder.ranks)] if decoder.trained else []
-    trained = run_command(
-        "train",
-        subject,
-        "--preset",
-        config.preset,
-        "--minutes",
-        f"{minutes:g}",
-        "--seed",
-        str(config.seed),
-        *kind,
-    )
-    return list(trained.result["layers"]), minutes
+    limits = ["--minutes", f"{training.minutes:g}", "--steps", str(_NO_LIMIT), "--seed", str(config.seed)]
+    trained = run_command("train", subject, "--preset", training.preset, *limits, *kind)
+    return list(trained.result["layers"]), 1000.0 * float(baked.result["pitch"])
+
+
+def _name(training: Training, pitch: float, decoder: Decoder, config: BenchTradeoffConfig) -> str:
+    """Of a point and of its folder."""
+    whole = "" if training in config.trainings else f"{training.preset} "
+    return f"{whole}{pitch:g} mm {decoder.name}".replace(" ", "-")
 
 
 def _text(ranks: tuple[int, int, int] | None) -> str:
@@ -151,18 +152,18 @@ def _text(ranks: tuple[int, int, int] | None) -> str:
 def _measure(
     subject: Path,
     output: Path,
+    name: str,
     pitch: float,
     decoder: Decoder,
     layers: Sequence[str],
-    minutes: float,
+    training: Training,
     config: BenchTradeoffConfig,
 ) -> OperatingPoint:
     """Export, play and score one point."""
-    name = f"{pitch:g} mm {decoder.name}".replace(" ", "-")
     folder, distilled = output / "points" / name, decoder.ranks is not None and not decoder.trained
     folder.mkdir(parents=True, exist_ok=True)
     if distilled:
-        run_command("distill", subject, "--preset", config.preset, "--ranks", _text(decoder.ranks))
+        run_command("distill", subject, "--preset", training.preset, "--ranks", _text(decoder.ranks))
     bundles = [folder / f"{layer}.gwg" for layer in layers]
     for layer, bundle in zip(layers, bundles, strict=True):
         flags = ["--distilled"] if distilled else []
@@ -185,7 +186,7 @@ def _measure(
         **{score: views["novel_view"][score] for score in _SCORES},
         novel_pose={score: views["novel_pose"][score] for score in _SCORES},
         frames_per_second=played.result["frames_per_second"],
-        training_minutes=minutes,
+        training_minutes=training.minutes,
         bundle_bytes=sum(bundle.stat().st_size for bundle in bundles),
         peak_bytes=played.peak_bytes,
     )

@@ -38,8 +38,15 @@ def register(app: typer.Typer) -> None:
         steps: Annotated[
             int | None, typer.Option(min=1, help="Optimiser steps instead of the preset's.")
         ] = None,
+        take: Annotated[
+            list[str] | None,
+            typer.Option(
+                metavar="NAME",
+                help="Learn from this training take too, beside the template's; once for each, or all.",
+            ),
+        ] = None,
         frame_step: Annotated[
-            int | None, typer.Option(min=1, help="Learn from every so many-th frame of the take.")
+            int | None, typer.Option(min=1, help="Learn from every so many-th frame of each take.")
         ] = None,
         views_per_step: Annotated[
             int | None, typer.Option(min=1, help="Cameras splatted for each pass of the networks.")
@@ -174,6 +181,7 @@ def register(app: typer.Typer) -> None:
             minutes=minutes,
             method=method,
             without=names(without),
+            takes=tuple(sorted(set(take or ()))),
             from_layers=names(from_layers),
             **{name: value for name, value in chosen.items() if value is not None},
         )

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 
 from stages.shared.avatar.config import PAPER_MODEL, ModelConfig
 
+ALL_TAKES = "all"
 METHODS = ("gaussian-wardrobe", "animatable-gaussians", "layga")
 
 
@@ -93,6 +94,7 @@ class TrainConfig:
         weights, rates, track, model: see there.
         method: what is learned: "gaussian-wardrobe" (a layer per garment), or a baseline
             (`stages/train/method.py`). without: parts left out (`stages/train/ablation.py`).
+        takes: training takes to learn from beside the one of the template; "all" for every one.
         from_layers: layers that start from another subject (`stages/train/start.py`); all that both have
             where it is empty and such a subject is given.
         device: auto, cpu or cuda; not part of what the result is named by.
@@ -121,6 +123,7 @@ class TrainConfig:
     model: ModelConfig = field(default_factory=ModelConfig)
     method: str = METHODS[0]
     without: tuple[str, ...] = ()
+    takes: tuple[str, ...] = field(default=(), metadata={"said_if_set": True})
     from_layers: tuple[str, ...] = field(default=(), metadata={"said_if_set": True})
     device: str = field(default="auto", metadata={"affects_result": False})
 

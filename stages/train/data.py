@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from stages.shared.body import BodyModel, Poses, posed_vertices
-from stages.shared.capture import NO_LABEL, Camera, Take
+from stages.shared.capture import NO_LABEL, Camera
 from stages.shared.errors import MissingInput
+from stages.train.footage import Footage
 from stages.train.method import layer_of_label
 from stages.train.outline import mesh_outline
 from stages.train.window import Window
@@ -76,10 +77,10 @@ def choose(seed: int, step: int, frames: Sequence[int], cameras: Sequence[str], 
 
 
 class TrainingViews:
-    """Pictures of a take, decoded once and kept while they fit into memory.
+    """Pictures of takes, decoded once and kept while they fit into memory.
 
     Arguments:
-        take: training take. poses: row = frame number of the take. body: model of the poses.
+        footage: the takes. poses: row = frame number. body: model of the poses.
         layers: names, inner to outer; labels of other layers count as unknown.
         cache_bytes: most memory for decoded crops.
     """
@@ -87,9 +88,14 @@ class TrainingViews:
     crops = True  # cut pictures to the subject; false for measuring what that saves
 
     def __init__(
-        self, take: Take, poses: Poses, body: BodyModel, layers: Sequence[str], cache_bytes: int = 1 << 30
+        self,
+        footage: Footage,
+        poses: Poses,
+        body: BodyModel,
+        layers: Sequence[str],
+        cache_bytes: int = 1 << 30,
     ) -> None:
-        self.take, self.poses, self.body, self.layers = take, poses, body, tuple(layers)
+        self.footage, self.poses, self.body, self.layers = footage, poses, body, tuple(layers)
         self.cache_bytes = cache_bytes
         self._cached_bytes = 0
         self._crops: OrderedDict[tuple[int, str], _Crop] = OrderedDict()
@@ -98,12 +104,12 @@ class TrainingViews:
             self._layer_of_id[label] = self.layers.index(layer)
 
     def frames(self, step: int) -> list[int]:
-        """Every `step`-th frame that has images."""
-        if not self.take.frames:
+        """Every `step`-th frame of each take that has images."""
+        if not self.footage.frames:
             raise MissingInput(
-                "The training take has no frame with images.", self.take.name, "Check the capture."
+                "The training take has no frame with images.", self.footage.name, "Check the capture."
             )
-        return self.take.frames[::step]
+        return self.footage.every(step)
 
     def view(self, frame: int, camera: str, scale: float = 1.0, window: Window | None = None) -> View:
         """One view at `scale` times its resolution, or a window of it."""
@@ -151,14 +157,14 @@ class TrainingViews:
         return crop
 
     def _read(self, frame: int, camera: str) -> _Crop:
-        whole = self.take.camera(camera)
+        whole = self.footage.camera(camera, frame)
         box = (0, 0, whole.width, whole.height)
         if self.crops:
-            box = self.take.subject_box(camera, frame, margin=_MARGIN)
+            box = self.footage.subject_box(camera, frame, margin=_MARGIN)
         left, top, right, bottom = box
         inside = (slice(top, bottom), slice(left, right))
-        mask = self.take.mask(camera, frame)[inside]
-        labels = self.take.labels(camera, frame)
+        mask = self.footage.mask(camera, frame)[inside]
+        labels = self.footage.labels(camera, frame)
         seen_by = whole.crop(box)
         layer = np.full(mask.shape, _UNKNOWN, dtype=np.uint8)
         if labels is not None:
@@ -169,7 +175,7 @@ class TrainingViews:
         outline = mesh_outline(self._body_vertices(frame), self.body.faces, seen_by)
         if "body" in self.layers:  # hair and shoes are part of the body, but not of the body model
             outline |= layer == self.layers.index("body")
-        return _Crop(seen_by, self.take.image(camera, frame)[inside].copy(), mask.copy(), layer, outline)
+        return _Crop(seen_by, self.footage.image(camera, frame)[inside].copy(), mask.copy(), layer, outline)
 
     def _body_vertices(self, frame: int) -> NDArray[np.float32]:
         poses = self.poses[frame]

@@ -18,8 +18,8 @@ _GREY = 200
 
 def preview_views(views: TrainingViews, frames: list[int]) -> list[tuple[int, str]]:
     """A middle frame by the first training camera, the last by a held-out camera when there is one."""
-    cameras = views.take.training_cameras
-    held = [name for name in views.take.heldout_cameras if views.take.has_image(name, frames[-1])]
+    cameras = views.footage.training_cameras
+    held = [name for name in views.footage.heldout_cameras if views.footage.has_image(name, frames[-1])]
     return [(frames[len(frames) // 2], cameras[0]), (frames[-1], held[0] if held else cameras[-1])]
 
 

@@ -11,25 +11,33 @@ import torch
 from stages.pipeline import BAKE_MAPS, REGISTER_TEMPLATE
 from stages.shared.artifacts import Artifact, ExternalFiles, Workspace
 from stages.shared.avatar.maps import LayerMaps
-from stages.shared.body import BodyModel
+from stages.shared.body import BodyModel, Poses
 from stages.shared.capture import LAYERS, Capture, Take
 from stages.shared.capture.subject import open_subject_capture
-from stages.shared.errors import MissingInput
+from stages.shared.errors import MissingInput, UsageProblem
 from stages.shared.poses import load_poses
-from stages.train.config import METHODS, TrainConfig
+from stages.train.config import ALL_TAKES, METHODS, TrainConfig
+from stages.train.footage import Footage, joined
 from stages.train.method import MethodLayers, method_layers
 from stages.train.start import Start, read_start
 
 
 @dataclass(frozen=True)
 class Source:
-    """Everything the stage reads."""
+    """Everything the stage reads.
+
+    Attributes:
+        footage: the takes; the registered one is the first. poses: row = frame number of the footage.
+        pose_files: poses of the takes that were not registered.
+    """
 
     registered: Artifact
     baked: Artifact
     capture: Capture
-    take: Take
+    footage: Footage
+    poses: Poses
     start: Start
+    pose_files: ExternalFiles | None = None
 
     @property
     def inputs(self) -> dict[str, Artifact | ExternalFiles]:
@@ -40,8 +48,9 @@ class Source:
             "bake-maps": self.baked,
             **{name: ExternalFiles(name, self.capture.root, paths) for name, paths in files.items() if paths},
         }
-        if self.start.files is not None:
-            inputs[self.start.files.name] = self.start.files
+        for given in (self.start.files, self.pose_files):
+            if given is not None:
+                inputs[given.name] = given
         return inputs
 
     def layers(self, method: str) -> MethodLayers:
@@ -74,7 +83,14 @@ def open_source(workspace: Workspace, config: TrainConfig, from_subject: Path | 
         start = read_start(from_subject, workspace, registered, _baked_maps(baked), config)
     body = BodyModel.from_arrays(registered.arrays("body.safetensors"))
     capture = open_subject_capture(workspace, body)
-    name = registered.summary.get("take")
+    first = _training_take(capture, str(registered.summary.get("take")))
+    others = [take for take in _other_takes(capture, config.takes) if take.name != first.name]
+    poses = [load_poses(registered.file("smpl_params.npz"), body), *(take.poses for take in others)]
+    footage, rows = joined([first, *others], poses, body)
+    return Source(registered, baked, capture, footage, rows, start, _pose_files(workspace, capture, others))
+
+
+def _training_take(capture: Capture, name: str) -> Take:
     takes = {take.name: take for take in capture.training_takes}
     if name not in takes:
         raise MissingInput(
@@ -82,7 +98,42 @@ def open_source(workspace: Workspace, config: TrainConfig, from_subject: Path | 
             str(capture.root),
             "Register the subject again with `gw register-template`.",
         )
-    return Source(registered, baked, capture, takes[name], start)
+    return takes[name]
+
+
+def _other_takes(capture: Capture, names: tuple[str, ...]) -> list[Take]:
+    """The takes to learn from beside the registered one, in the capture's order; `ALL_TAKES`: every one."""
+    known = [take.name for take in capture.training_takes]
+    for name in names:
+        if name not in (*known, ALL_TAKES):
+            held = name in (take.name for take in capture.test_takes)
+            raise UsageProblem(
+                f"The take {name!r} is held out for tests."
+                if held
+                else f"There is no training take {name!r}.",
+                "option --take",
+                "Choose of: " + ", ".join(known) + f"; or {ALL_TAKES}.",
+            )
+    found = [take for take in capture.training_takes if ALL_TAKES in names or take.name in names]
+    for take in found:
+        if not take.posed:
+            raise MissingInput(
+                f"The take {take.name} has no body poses.",
+                str(capture.root),
+                "Register the subject again with gw register-template --fit: it fits every take.",
+            )
+    return found
+
+
+def _pose_files(workspace: Workspace, capture: Capture, others: list[Take]) -> ExternalFiles | None:
+    """Where the poses of other takes come from: fitted at registration, or the capture's own."""
+    if not others:
+        return None
+    if workspace.settings().get("fitted_poses"):
+        folder = workspace.setting_path("fitted_poses")
+        return ExternalFiles("fitted_poses/takes", folder, [folder / f"{take.name}.npz" for take in others])
+    files = [path for take in others for path in take.pose_files]
+    return ExternalFiles("capture/poses", capture.root, files) if files else None
 
 
 def _baked_maps(baked: Artifact) -> dict[str, LayerMaps]:

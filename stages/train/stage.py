@@ -1,9 +1,9 @@
 """Train: learn every layer's Gaussians and how they depend on the pose, from multi-view video.
 
 Reads:
-    register-template: `smpl_params.npz` poses of the training take; `body.safetensors` body model.
+    register-template: `smpl_params.npz` poses of the template's take; `body.safetensors` body model.
     bake-maps: `<layer>.safetensors` maps of each layer that is there.
-    the capture: images, masks and labels of the training take.
+    the capture: images, masks and labels of the takes that are learned from, poses of the other takes.
     a file of perceptual weights (docs/formats.md), if one is given.
     another subject's training and maps, if layers start from there (`stages/train/start.py`).
 Writes:
@@ -31,11 +31,9 @@ from stages.shared.artifacts.result import StageResult
 from stages.shared.avatar.decoder import AvatarModel, new_model
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.body import BodyModel
-from stages.shared.capture import Take
-from stages.shared.errors import BadData, UsageProblem
+from stages.shared.errors import UsageProblem
 from stages.shared.losses.perceptual import SMALLEST_SIDE, Perceptual
 from stages.shared.plan import Plan
-from stages.shared.poses import load_poses
 from stages.shared.report import SILENT, Report
 from stages.train import board, checkpoint, cost
 from stages.train.begin import begun_model, known_model
@@ -44,6 +42,7 @@ from stages.train.checkpoint import METRICS_NAME, RunState
 from stages.train.config import TrainConfig
 from stages.train.data import TrainingViews
 from stages.train.distributed import ALONE, Processes, Unwritten, for_all, local_rank
+from stages.train.footage import Footage
 from stages.train.loop import learn
 from stages.train.memory import available_bytes, memory_named, say_if_scarce
 from stages.train.method import settled
@@ -150,7 +149,7 @@ def plan(
         inputs=[str(source.registered.path), str(source.baked.path), str(source.capture.root), *given],
         outputs=[f"{workspace.root / TRAIN.name}/<key>/{name}.safetensors" for name in maps],
         config=asdict(config),
-        seconds=cost.seconds(maps, settled(config), _tracked_views(source.take, settled(config))),
+        seconds=cost.seconds(maps, settled(config), _tracked_views(source.footage, settled(config))),
         memory_bytes=cost.memory_bytes(maps, settled(config)),
         disk_bytes=cost.disk_bytes(maps, settled(config)),
     )
@@ -209,11 +208,11 @@ def _device(name: str) -> torch.device:
     return torch.device("cuda", local_rank()) if on_gpu else torch.device("cpu")
 
 
-def _tracked_views(take: Take, config: TrainConfig) -> int:
+def _tracked_views(footage: Footage, config: TrainConfig) -> int:
     """Pictures through which garments are followed."""
-    config = cost.affordable_tracking(config, len(take.frames), len(take.training_cameras))
-    frames = take.frames[:: config.track.frame_step] if config.track.frame_step else []
-    return len(frames) * len(take.training_cameras)
+    config = cost.affordable_tracking(config, len(footage.frames), len(footage.training_cameras))
+    frames = footage.every(config.track.frame_step) if config.track.frame_step else []
+    return len(frames) * len(footage.training_cameras)
 
 
 def _trainer(
@@ -225,18 +224,12 @@ def _trainer(
     processes: Processes = ALONE,
 ) -> Trainer:
     body = BodyModel.from_arrays(source.registered.arrays("body.safetensors"))
-    poses = load_poses(source.registered.file("smpl_params.npz"), body)
+    footage = source.footage
     config, maps = settled(config), source.layers(config.method).maps
     if change is not None:
         maps = {name: change(layer) for name, layer in maps.items()}
-    if len(poses) <= max(source.take.frames, default=0):
-        raise BadData(
-            f"There are {len(poses)} poses, but images up to frame {source.take.frames[-1]}.",
-            str(source.registered.path / "smpl_params.npz"),
-            "Register the subject again with `gw register-template`.",
-        )
-    config = cost.affordable_tracking(config, len(source.take.frames), len(source.take.training_cameras))
-    views = TrainingViews(source.take, poses, body, list(maps))
+    config = cost.affordable_tracking(config, len(footage.frames), len(footage.training_cameras))
+    views = TrainingViews(footage, source.poses, body, list(maps))
     frames = len(views.frames(config.track.frame_step or config.frame_step))
     anchors = (
         frames if config.track.frame_step and config.model.anchors else min(config.model.anchors, frames)
@@ -258,6 +251,7 @@ def _trainer(
 
 def _summary(trainer: Trainer, start: Start, state: RunState, progress: Progress) -> dict[str, Any]:
     lines = progress.lines(METRICS_NAME)
+    takes = [take.name for take in trainer.views.footage.takes]
     begun = {"started": list(start.layers), "frozen": list(start.frozen)} if start.layers else {}
     return {
         **begun,
@@ -267,6 +261,7 @@ def _summary(trainer: Trainer, start: Start, state: RunState, progress: Progress
         "gaussians": sum(len(model.maps) for model in trainer.models.values()),
         "parameters": sum(parameter.numel() for parameter in trainer.parameters.values()),
         "frames": len(trainer.frames),
+        **({"takes": takes} if len(takes) > 1 else {}),
         "steps": state.step,
         "skipped": state.skipped,
         "losses": lines[-1]["losses"] if lines else {},

@@ -34,6 +34,7 @@ from stages.train.solve import Floats, conjugate_gradients, fitted_cells
 _PER_METRE = 220.0  # px; only the unit of the solution, which the smoothness weights refer to
 _SOLVER_STEPS = 60
 _KEPT = 0.9  # share of the last frame's shape that smoothness takes as rest
+_BODY_JOINTS = 22  # without face and fingers
 _FOLLOWING = 0.5  # share of the last frame's motion that is expected to go on
 
 
@@ -69,8 +70,9 @@ class Tracker:
         begun: Beginnings | None = None,
     ) -> None:
         self.config, self.models, self.views, self.frames, self.poses = config, models, views, frames, poses
-        self.order = [*range(start, len(frames)), *range(start - 1, -1, -1)]
         self.start = start
+        self.route = route(views.footage.groups(frames), start, self._described())
+        self.order = self.route.order
         self.tracked = {n: _tracked(model, config.cell) for n, model in models.items() if has_anchors(model)}
         self.begun = begun
         known = begun.offsets(frames[start]) if begun else {}
@@ -81,24 +83,29 @@ class Tracker:
         """Find the offsets of the `place`-th frame of `order`; those before it must have been found."""
         index = self.order[place]
         frame = self.frames[index]
-        back = -1 if index > self.start else 1
+        last, earlier = self.route.before[index], self.route.earlier(index)
         resting = {
-            name: _offsets(layer, index + back) if place else self._first(name, layer)
+            name: self._first(name, layer) if last is None else _offsets(layer, last)
             for name, layer in self.tracked.items()
         }
         found = dict(resting)
-        if place and self.start not in (index, index + back):
+        if earlier is not None:
             for name, layer in self.tracked.items():
-                before = _offsets(layer, index + 2 * back)
+                before = _offsets(layer, earlier)
                 found[name] = resting[name] + _FOLLOWING * (resting[name] - before)
         pose = self.poses(frame)
-        views = [self.views.view(frame, camera) for camera in self.views.take.training_cameras]
+        views = [self.views.view(frame, camera) for camera in self.views.footage.training_cameras]
         rounds, beside = self.config.rounds, self.begun.residuals(frame) if self.begun else {}
         for turn in range(rounds):
             change = self._solve(pose, views, found, resting, beside, fine=turn == rounds - 1)
             found = {name: found[name] + change[name] for name in found}
         for name, layer in self.tracked.items():
             self._store(layer, index, found[name])
+
+    def _described(self) -> Tensor:
+        """(K, 198) rotations of the body's joints in every frame, by which poses are told apart."""
+        poses = [self.poses(frame).local_transforms[:_BODY_JOINTS, :3, :3].flatten() for frame in self.frames]
+        return torch.stack(poses).cpu()
 
     def _first(self, name: str, layer: _Tracked) -> Floats:
         """Cells (M, 3) m that the first frame starts from: none, or what the layer brings."""
@@ -196,6 +203,51 @@ class Tracker:
         there = fine[:, 3:] > 1e-3  # cells that nothing follows do not pull at their neighbours
         values = torch.where(there, fine[:, :3] / fine[:, 3:].clamp(min=1e-3), 0.0)
         anchor.copy_(values.reshape(anchor.shape))
+
+
+@dataclass(frozen=True)
+class Route:
+    """In which order frames are followed.
+
+    Attributes:
+        order: indices of frames. before: from which frame each is reached; None for the first.
+        entries: the first frame of every take.
+    """
+
+    order: list[int]
+    before: dict[int, int | None]
+    entries: frozenset[int]
+
+    def earlier(self, index: int) -> int | None:
+        """The frame before the one that a frame is reached from, where all three are neighbours in a take."""
+        last = self.before[index]
+        if last is None or self.entries & {index, last}:
+            return None
+        return self.before[last]
+
+
+def route(groups: list[list[int]], start: int, described: Tensor) -> Route:
+    """From `start` to the end of its take and then back to its beginning; then the other takes.
+
+    Another take is entered at the frame whose pose is nearest to one that has been followed.
+
+    Arguments:
+        groups: indices of frames by take. described: (K, M) poses of all frames.
+    """
+    order: list[int] = []
+    before: dict[int, int | None] = {}
+    entries = []
+    for group in sorted(groups, key=lambda group: start not in group):
+        begin, known = start, None
+        if order:
+            distance = torch.cdist(described[group], described[order])
+            row, column = divmod(int(distance.argmin()), len(order))
+            begin, known = group[row], order[column]
+        ahead, back = [i for i in group if i > begin], [i for i in reversed(group) if i < begin]
+        before |= {begin: known} | {i: i - 1 for i in ahead} | {i: i + 1 for i in back}
+        order += [begin, *ahead, *back]
+        entries.append(begin)
+    return Route(order, before, frozenset(entries))
 
 
 def has_anchors(model: AvatarModel) -> bool:

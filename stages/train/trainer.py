@@ -87,7 +87,7 @@ class Trainer:
         self.one_pass = not any(model.model_config.view_conditioning for model in models.values())
         self.perceptual = perceptual.to(device) if perceptual is not None else None
         self.frames = views.frames(config.frame_step)
-        self.cameras = views.take.training_cameras
+        self.cameras = views.footage.training_cameras
         self.surfaces = Surfaces.of({name: model.maps for name, model in models.items()})
         self.parameters = dict(named_parameters(models))
         self.optimizer = adam(config, models)
@@ -248,7 +248,7 @@ class Trainer:
         """Slightly disturbed viewing cosines of every layer, when the models want them."""
         if self.one_pass:
             return None
-        pose, place = self.pose(choice.frame), self.views.take.camera(camera).centre
+        pose, place = self.pose(choice.frame), self.views.footage.camera(camera, choice.frame).centre
         noise = np.random.default_rng([self.config.seed, 3, choice.step]).normal(0.0, _EYE_NOISE, 3)
         eye = torch.from_numpy(place + noise).float().to(self.device)
         return {

@@ -47,7 +47,7 @@ def warm_up(
     optimizer = torch.optim.Adam(groups, lr=1.0, eps=_ADAM_EPSILON)
     weights = LossWeights(**{**vars(weights), "flow": 0.0})
     generator = np.random.default_rng([seed, 4])
-    cameras = list(views.take.training_cameras)
+    cameras = list(views.footage.training_cameras)
     for step in range(steps):
         factor = _RATE_END + (1 - _RATE_END) * 0.5 * (1 + math.cos(math.pi * step / steps))
         for group in optimizer.param_groups:

@@ -75,10 +75,12 @@ def make_subject(
     pitch: float = PITCH,
     grid: int = GRID,
     body: BodyModel | None = None,
+    others: dict[str, Poses] | None = None,
 ) -> Path:
     """Capture with rendered images and a workspace with finished earlier stages; returns the workspace.
 
-    `arrays`: baked layers on a grid of `pitch` m; those of `layers` where there are none.
+    `arrays`: baked layers on a grid of `pitch` m; those of `layers` where there are none. `others`: further
+    training takes.
     """
     body, motion = body or embedded_body(), poses()
     arrays = arrays or layers()
@@ -92,11 +94,12 @@ def make_subject(
             model.base_offset += 0.006 * model.maps.normals
     capture = folder / "capture"
     with native_writer(capture, cameras(), heldout=["cam2"]) as writer:
-        take = writer.take("moves", "train", motion)
-        for frame in range(FRAMES):
-            for camera in cameras():
-                image, mask, labels = _picture(truth, body, motion, frame, camera)
-                take.view(camera.name, frame, image, mask, labels, jpeg=False)
+        for name, moves in {"moves": motion, **(others or {})}.items():
+            take = writer.take(name, "train", moves)
+            for frame in range(len(moves)):
+                for camera in cameras():
+                    image, mask, labels = _picture(truth, body, moves, frame, camera)
+                    take.view(camera.name, frame, image, mask, labels, jpeg=False)
     about = {"pitch": pitch, "centre": list(CENTRE), "grid_size": grid}
     return _workspace(folder / "subject", capture, body, motion, arrays, about)
 

@@ -13,6 +13,7 @@ from stages.shared.capture import Camera, open_capture
 from stages.train import schedule
 from stages.train.config import PRESETS, LossWeights, TrainConfig
 from stages.train.data import TrainingViews, choose
+from stages.train.footage import Footage
 from stages.train.outline import mesh_outline
 from tests.stages.train.scene import make_subject, poses, tiny
 
@@ -64,7 +65,7 @@ def test_paper_preset_holds_the_published_values() -> None:
 def test_crops_agree_with_the_whole_picture(tmp_path: Path) -> None:
     make_subject(tmp_path)
     take = open_capture(tmp_path / "capture").training_takes[0]
-    views = TrainingViews(take, poses(), embedded_body(), ["body", "upper"])
+    views = TrainingViews(Footage((take,)), poses(), embedded_body(), ["body", "upper"])
     assert views.frames(2) == [0, 2]
     view = views.view(1, "cam1")
     left, top, right, bottom = take.subject_box("cam1", 1, margin=8)
@@ -89,7 +90,7 @@ def test_crops_agree_with_the_whole_picture(tmp_path: Path) -> None:
 def test_cache_stays_within_its_bound(tmp_path: Path) -> None:
     make_subject(tmp_path)
     take = open_capture(tmp_path / "capture").training_takes[0]
-    views = TrainingViews(take, poses(), embedded_body(), ["body", "upper"], cache_bytes=20_000)
+    views = TrainingViews(Footage((take,)), poses(), embedded_body(), ["body", "upper"], cache_bytes=20_000)
     first = views.view(0, "cam0").image.clone()
     for frame in range(4):
         for camera in ("cam0", "cam1"):

@@ -1,0 +1,153 @@
+"""The takes that a run learns from, as one film: frames numbered through, and poses to match.
+
+Frames of the first take keep their numbers. Every other take begins behind the last row of poses before it,
+after a pause in its own first pose, so long that no memory of motion reaches over it.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from stages.shared.avatar.motion import time_constant
+from stages.shared.body import BodyModel, Poses, shaped_joints
+from stages.shared.capture import Camera, Take
+from stages.shared.capture.camera import Box
+from stages.shared.errors import BadData, UsageProblem
+
+_MEMORIES = 6  # the most that a run can have
+_PAUSE = 6.0  # time constants of the longest of them
+_SAME_RATE = 1e-3  # frames per second
+
+
+@dataclass(frozen=True)
+class Footage:
+    """Takes in a row.
+
+    Attributes:
+        takes: the one of the template first. starts: number of frame 0 of each.
+    """
+
+    takes: tuple[Take, ...]
+    starts: tuple[int, ...] = (0,)
+
+    @property
+    def name(self) -> str:
+        return ", ".join(take.name for take in self.takes)
+
+    @property
+    def frames(self) -> list[int]:
+        """Numbers of all frames with pictures."""
+        return self.every(1)
+
+    @property
+    def training_cameras(self) -> tuple[str, ...]:
+        """Those that all takes have, in the order of the first."""
+        first, *others = (take.training_cameras for take in self.takes)
+        return tuple(name for name in first if all(name in other for other in others))
+
+    @property
+    def heldout_cameras(self) -> tuple[str, ...]:
+        first, *others = (take.heldout_cameras for take in self.takes)
+        return tuple(name for name in first if all(name in other for other in others))
+
+    def every(self, step: int) -> list[int]:
+        """Numbers of every `step`-th frame of each take."""
+        pairs = zip(self.takes, self.starts, strict=True)
+        return [start + frame for take, start in pairs for frame in take.frames[::step]]
+
+    def groups(self, frames: Sequence[int]) -> list[list[int]]:
+        """Indices into `frames`, by take."""
+        found: list[list[int]] = [[] for _ in self.takes]
+        for index, frame in enumerate(frames):
+            found[self._place(frame)].append(index)
+        return [group for group in found if group]
+
+    def camera(self, camera: str, frame: int) -> Camera:
+        """A camera as it stood in the take of a frame."""
+        return self.takes[self._place(frame)].camera(camera)
+
+    def has_image(self, camera: str, frame: int) -> bool:
+        take, own = self._at(frame)
+        return take.has_image(camera, own)
+
+    def image(self, camera: str, frame: int) -> NDArray[np.uint8]:
+        """As `Take.image`; the same for those below."""
+        take, own = self._at(frame)
+        return take.image(camera, own)
+
+    def mask(self, camera: str, frame: int) -> NDArray[np.uint8]:
+        take, own = self._at(frame)
+        return take.mask(camera, own)
+
+    def labels(self, camera: str, frame: int) -> NDArray[np.uint8] | None:
+        take, own = self._at(frame)
+        return take.labels(camera, own)
+
+    def subject_box(self, camera: str, frame: int, margin: int) -> Box:
+        take, own = self._at(frame)
+        return take.subject_box(camera, own, margin=margin)
+
+    def _at(self, frame: int) -> tuple[Take, int]:
+        place = self._place(frame)
+        return self.takes[place], frame - self.starts[place]
+
+    def _place(self, frame: int) -> int:
+        return bisect_right(self.starts, frame) - 1
+
+
+def joined(takes: Sequence[Take], poses: Sequence[Poses], body: BodyModel) -> tuple[Footage, Poses]:
+    """Takes as one film, and its poses: row = number of the frame, shape of the first take.
+
+    A take whose body was fitted with another shape keeps the places of its pelvis.
+
+    Arguments:
+        poses: of each take, row = its own frame number.
+
+    Raises:
+        BadData: a frame has no pose. UsageProblem: frame rates differ, or no camera is in all takes.
+    """
+    for take, own in zip(takes, poses, strict=True):
+        if len(own) <= max(take.frames, default=0):
+            raise BadData(
+                f"There are {len(own)} poses, but images up to frame {take.frames[-1]}.",
+                f"take {take.name}",
+                "Register the subject again with `gw register-template`.",
+            )
+    if len(takes) == 1:
+        return Footage((takes[0],)), poses[0]
+    first = poses[0]
+    for take, own in zip(takes, poses, strict=True):
+        if abs(own.fps - first.fps) > _SAME_RATE:
+            raise _apart(f"{take.name} has {own.fps:g} frames per second and {takes[0].name} {first.fps:g}.")
+    pause = math.ceil(_PAUSE * time_constant(_MEMORIES - 1) * first.fps)
+    parts, starts, rows = [first], [0], len(first)
+    for own in poses[1:]:
+        moved = _with_shape(own, first.betas, body)
+        parts += [moved[[0] * pause], moved]
+        starts.append(rows + pause)
+        rows += pause + len(own)
+    rotations, translation, expression = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("rotations", "translation", "expression")
+    )
+    footage = Footage(tuple(takes), tuple(starts))
+    if not footage.training_cameras:
+        raise _apart("The takes have no training camera in common.")
+    return footage, replace(first, rotations=rotations, translation=translation, expression=expression)
+
+
+def _with_shape(poses: Poses, betas: NDArray[np.float32], body: BodyModel) -> Poses:
+    """The same motion by a body of another shape, its pelvis at the same places."""
+    before, after = (shaped_joints(body, torch.from_numpy(b))[0].numpy() for b in (poses.betas, betas))
+    return replace(poses, betas=betas, translation=poses.translation + (before - after))
+
+
+def _apart(what: str) -> UsageProblem:
+    return UsageProblem(what, "option --take", "Learn from takes that were recorded alike.")

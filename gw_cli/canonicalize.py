@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from gw_cli.console import Console, command
-from gw_cli.options import DryRun, Force, Json, Preset, preset_config
+from gw_cli.options import DryRun, Force, Json, Preset, one_of, preset_config
 from stages.shared.errors import UsageProblem
 from stages.shared.plan import Plan
 
@@ -63,8 +63,8 @@ def register(app: typer.Typer) -> None:
         console = Console(as_json)
         config = preset_config(PRESETS, preset)
         if spread is not None:
-            config = replace(config, spread=_one_of("--spread", spread, SPREADS))
-        config = replace(config, shape_removal=_one_of("--shape-removal", shape_removal, SHAPE_REMOVALS))
+            config = replace(config, spread=one_of("--spread", spread, SPREADS))
+        config = replace(config, shape_removal=one_of("--shape-removal", shape_removal, SHAPE_REMOVALS))
         subject = given
         if given.is_file():
             subject = output or Path(given.stem)
@@ -89,14 +89,6 @@ def register(app: typer.Typer) -> None:
             return
         result = stage.run(subject, config, console, force)
         console.result(result.summary, next_command=f"gw segment-layers {subject}")
-
-
-def _one_of(option: str, given: str, known: tuple[str, ...]) -> str:
-    if given not in known:
-        raise UsageProblem(
-            f"There is no way called {given!r}.", f"option {option}", f"Choose one of: {', '.join(known)}."
-        )
-    return given
 
 
 def _register_mesh(

@@ -44,8 +44,17 @@ def bundles(incomplete: str) -> list[str]:
     return files + [f"{folder}/" for folder in _folders(incomplete)]
 
 
+def trainings(ctx: Any, incomplete: str) -> list[str]:
+    """Keys of the trainings of the subject that was named."""
+    subject = None if ctx is None else ctx.params.get("subject")
+    if not subject:
+        return []
+    found = _folders(f"{subject}/train/{incomplete}")
+    return [folder.name for folder in found if (folder / "manifest.json").is_file()]
+
+
 def artifacts(incomplete: str) -> list[str]:
-    """What `gw verify` takes: subjects and bundles."""
+    """Subjects and bundles."""
     return subjects(incomplete) + bundles(incomplete)
 
 

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
+from gw_cli.completion import subjects, trainings
 from gw_cli.console import Console, command
 from gw_cli.options import DryRun, Json, Preset, Shard, names, preset_config, without_shard
 from stages.shared.errors import UsageProblem
@@ -19,7 +20,10 @@ def register(app: typer.Typer) -> None:
     @command
     def evaluate(
         subject: Annotated[
-            Path | None, typer.Argument(metavar="SUBJECT", help="Workspace folder of the subject.")
+            Path | None,
+            typer.Argument(
+                metavar="SUBJECT", help="Workspace folder of the subject.", autocompletion=subjects
+            ),
         ] = None,
         split: Annotated[
             str, typer.Option(help="Of novel-pose, novel-view, novel-both (test poses, held-out cameras).")
@@ -37,7 +41,9 @@ def register(app: typer.Typer) -> None:
         training: Annotated[
             str,
             typer.Option(
-                metavar="KEY", help="Score this training (folder name in SUBJECT/train, or its start)."
+                metavar="KEY",
+                help="Score this training (folder name in SUBJECT/train, or its start).",
+                autocompletion=trainings,
             ),
         ] = "",
         frames: Annotated[

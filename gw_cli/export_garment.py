@@ -10,7 +10,7 @@ import typer
 
 from gw_cli.completion import layers
 from gw_cli.console import Console, command
-from gw_cli.options import Distilled, DryRun, Json, Preset, Subject, preset_config
+from gw_cli.options import Distilled, DryRun, Json, Preset, Subject, names, preset_config
 
 
 def register(app: typer.Typer) -> None:
@@ -76,11 +76,10 @@ def register(app: typer.Typer) -> None:
             if output is None:
                 console.result(made)
                 return
-        wanted = tuple(slot.strip() for slot in slots.split(",") if slot.strip())
         config = replace(
             preset_config(PRESETS, preset),
             layer=layer,
-            slots=wanted,
+            slots=names(slots),
             distilled=distilled,
             precision=precision,
             note=note,

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from gw_cli.completion import bundles
 from gw_cli.console import Console, command
 from gw_cli.options import Json
 
@@ -15,7 +16,9 @@ def register(app: typer.Typer) -> None:
     @app.command("inspect")
     @command
     def inspect(
-        bundle: Annotated[Path, typer.Argument(metavar="FILE.gwg", help="A body or a garment.")],
+        bundle: Annotated[
+            Path, typer.Argument(metavar="FILE.gwg", help="A body or a garment.", autocompletion=bundles)
+        ],
         preview: Annotated[
             Path | None, typer.Option(help="Also write the picture inside to this PNG file.")
         ] = None,

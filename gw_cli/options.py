@@ -84,13 +84,18 @@ TransmittanceMin = Annotated[
 
 def preset_config(presets: dict[str, Config], name: str) -> Config:
     """The preset called `name`, or a usage error that lists the ones there are."""
-    if name not in presets:
+    return presets[one_of("--preset", name, tuple(presets), "preset")]
+
+
+def one_of(option: str, given: str, known: tuple[str, ...], kind: str = "choice") -> str:
+    """What was given, or a usage error that lists the choices there are."""
+    if given not in known:
         raise UsageProblem(
-            f"There is no preset called {name!r}.",
-            "option --preset",
-            "Choose one of: " + ", ".join(presets) + ".",
+            f"There is no {kind} called {given!r}.",
+            f"option {option}",
+            "Choose one of: " + ", ".join(known) + ".",
         )
-    return presets[name]
+    return given
 
 
 def names(text: str) -> tuple[str, ...]:

@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from gw_cli.completion import artifacts
 from gw_cli.console import Console, command
 from gw_cli.options import (
     AlphaMin,
@@ -43,7 +44,10 @@ def register(app: typer.Typer) -> None:
     @command
     def render(
         sources: Annotated[
-            list[Path], typer.Argument(metavar="SUBJECT|BODY.gwg …", help="A trained subject, or bundles.")
+            list[Path],
+            typer.Argument(
+                metavar="SUBJECT|BODY.gwg …", help="A trained subject, or bundles.", autocompletion=artifacts
+            ),
         ],
         poses: Annotated[
             Path | None,

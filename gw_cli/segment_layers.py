@@ -8,8 +8,7 @@ from typing import Annotated
 import typer
 
 from gw_cli.console import Console, command
-from gw_cli.options import DryRun, Force, Json, Preset, Subject, preset_config
-from stages.shared.errors import UsageProblem
+from gw_cli.options import DryRun, Force, Json, Preset, Subject, one_of, preset_config
 
 _LABELS = ("auto", "images", "scan")
 
@@ -36,13 +35,7 @@ def register(app: typer.Typer) -> None:
         from stages.segment_layers.config import PRESETS
 
         console = Console(as_json)
-        if labels not in _LABELS:
-            raise UsageProblem(
-                f"There is no source of labels called {labels!r}.",
-                "option --labels",
-                "Choose one of: " + ", ".join(_LABELS) + ".",
-            )
-        config = replace(preset_config(PRESETS, preset), labels=labels)
+        config = replace(preset_config(PRESETS, preset), labels=one_of("--labels", labels, _LABELS))
         if dry_run:
             console.plan(stage.plan(subject, config))
             return

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
+from gw_cli import completion
 from gw_cli.console import Console, command
 from gw_cli.options import (
     AlphaMin,
@@ -45,7 +46,11 @@ def register(app: typer.Typer) -> None:
         poses: Annotated[Path, typer.Option(help="The motion: npz of SMPL-X or AMASS, or BVH.")],
         bundles: Annotated[
             list[Path] | None,
-            typer.Argument(metavar="BODY.gwg GARMENT.gwg …", help="One body and its garments."),
+            typer.Argument(
+                metavar="BODY.gwg GARMENT.gwg …",
+                help="One body and its garments.",
+                autocompletion=completion.bundles,
+            ),
         ] = None,
         wardrobe: Annotated[
             Path | None, typer.Option(help="Folder of bundles that --outfit chooses from.")

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from gw_cli.completion import artifacts
 from gw_cli.console import Console, command
 from gw_cli.options import Betas, Distilled, DryRun, FrameRate, Json, Swap
 
@@ -17,7 +18,11 @@ def register(app: typer.Typer) -> None:
     def view(
         sources: Annotated[
             list[Path] | None,
-            typer.Argument(metavar="SUBJECT|BODY.gwg …", help="Bundles that are worn, or a trained subject."),
+            typer.Argument(
+                metavar="SUBJECT|BODY.gwg …",
+                help="Bundles that are worn, or a trained subject.",
+                autocompletion=artifacts,
+            ),
         ] = None,
         wardrobe: Annotated[Path | None, typer.Option(help="A folder of bundles to swap in and out.")] = None,
         poses: Annotated[

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from gw_cli import completion
 from gw_cli.console import Console, command
 from gw_cli.options import Json, Pixels
 
@@ -68,7 +69,12 @@ def _add(group: typer.Typer) -> None:
     @command
     def add(
         folder: Folder,
-        bundles: Annotated[list[Path], typer.Argument(metavar="FILE.gwg …", help="Bundles to put there.")],
+        bundles: Annotated[
+            list[Path],
+            typer.Argument(
+                metavar="FILE.gwg …", help="Bundles to put there.", autocompletion=completion.bundles
+            ),
+        ],
         name: Annotated[str, typer.Option(help="Its name there; default: that of the file.")] = "",
         as_json: Json = False,
     ) -> None:

@@ -1,4 +1,4 @@
-"""`gw bench`: how fast this machine is. One module per subcommand, each with `register(bench)`."""
+"""`gw bench`: what it costs and what it is worth. One module per subcommand, each with `register(bench)`."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ SUBCOMMANDS: tuple[str, ...] = (
 
 
 def register(app: typer.Typer) -> None:
-    bench = typer.Typer(help="Measure this machine.", no_args_is_help=True)
+    bench = typer.Typer(help="Measure speed, memory and accuracy.", no_args_is_help=True)
     app.add_typer(bench, name="bench")
 
     @bench.callback()
     def group() -> None:
-        """Measure this machine."""
+        """Measure speed, memory and accuracy: of this machine, a subject, a capture, or the method."""
 
     for name in SUBCOMMANDS:
         importlib.import_module(f"gw_cli.bench.{name}").register(bench)

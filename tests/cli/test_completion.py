@@ -62,6 +62,22 @@ def test_layers_of_a_subject(folder: Path) -> None:
     assert completion.layers(None, "o") == ["outer"]
 
 
+def test_trainings_of_a_subject(folder: Path) -> None:
+    workspace = Workspace(folder / "anna")
+    keys = []
+    for steps in (1, 2):
+        with workspace.build(BY_NAME["train"], {"steps": steps}, {}) as build:
+            build.summary(steps=steps)
+        keys.append(build.artifact.key)
+
+    class Context:
+        params = {"subject": folder / "anna"}  # noqa: RUF012
+
+    assert completion.trainings(Context, "") == sorted(keys)
+    assert completion.trainings(Context, keys[1][:8]) == [keys[1]]
+    assert completion.trainings(None, "") == []
+
+
 def test_subjects_and_bundles(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(folder)
     assert completion.subjects("") == ["anna"]
@@ -76,3 +92,6 @@ def test_bash_is_offered_them(folder: Path) -> None:
     assert shell(folder, "export-garment", "anna", "--layer", "") == ["body", "lower"]
     assert shell(folder, "segment-layers", "an") == ["anna"]
     assert "train" in shell(folder, "tr")
+    for words in (("inspect",), ("tryon",), ("render",), ("view",), ("wardrobe", "add", "closet")):
+        assert shell(folder, *words, "sk") == ["skirt.gwg"]
+    assert shell(folder, "evaluate", "an") == ["anna"]

@@ -14,6 +14,8 @@ from __future__ import annotations
 
 import statistics
 import time
+from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -26,10 +28,11 @@ from stages.shared.artifacts import Workspace, write_whole
 from stages.shared.artifacts.canonical import readable_json
 from stages.shared.avatar.compose import compose
 from stages.shared.avatar.maps import LayerMaps
+from stages.shared.avatar.used_joints import every_joint
 from stages.shared.commands import run_command
 from stages.shared.errors import UsageProblem
 from stages.shared.outfit.hidden import plan_hidden
-from stages.shared.outfit.outfit import outfit_of_training
+from stages.shared.outfit.outfit import Outfit, outfit_of_training
 from stages.shared.outfit.penetration import PenetrationConfig
 from stages.shared.outfit.picture import Shot, take_picture
 from stages.shared.outfit.playback import side_by_side
@@ -49,6 +52,7 @@ STEP_ROWS: dict[str, str] = {
     "step-all-networks": "networks in every layer, also where the preset leaves them out",
     "step-pass-per-camera": "the networks run once for every camera",
     "step-separate-pictures": "colours, labels and the body alone are drawn by a call each",
+    "step-every-joint": "all 55 joints take part in skinning, also those at rest or without weight",
     "step-whole-images": "pictures are not cropped to the subject",
     "step-same-networks": "none of these, but networks where the preset has them",
     "step-nothing-saved": "none of these",
@@ -56,6 +60,7 @@ STEP_ROWS: dict[str, str] = {
 FRAME_ROWS: dict[str, str] = {
     "frame": "all economies",
     "frame-no-cull": "body Gaussians that nobody can see are drawn",
+    "frame-every-joint": "all 55 joints take part in what anchors and networks see",
     "frame-plain": "posed layer by layer in torch, not by the fused kernel",
     "frame-whole-layers": "the penetration pass draws every layer alone over the whole picture",
     "frame-one-at-a-time": "one frame after the other, all cores at each",
@@ -166,6 +171,13 @@ def write_results(
 def _step(subject: Path, name: str, train: TrainConfig, config: EconomyConfig) -> dict[str, Any]:
     """Seconds of a late training step, and PSNR (dB) of the pictures that training begins with."""
     nothing = name in ("step-nothing-saved", "step-same-networks")
+    with every_joint() if nothing or name == "step-every-joint" else nullcontext():
+        return _timed_step(subject, name, nothing, train, config)
+
+
+def _timed_step(
+    subject: Path, name: str, nothing: bool, train: TrainConfig, config: EconomyConfig
+) -> dict[str, Any]:
     if name in ("step-nothing-saved", "step-all-networks"):
         train = replace(train, model=replace(train.model, networks="all"))
     trainer = prepare(subject, train, whole_grid if nothing or name == "step-whole-grid" else None)
@@ -198,10 +210,18 @@ def _frame(subject: Path, name: str, train: TrainConfig, config: EconomyConfig) 
     workspace = Workspace(subject)
     outfit = outfit_of_training(*(workspace.require(spec) for spec in (REGISTER_TEMPLATE, BAKE_MAPS, TRAIN)))
     trainer = prepare(subject, train)
-    poses, shown = trainer.views.poses, _views(trainer, config.frames)
 
     def without(row: str) -> bool:
         return name in (row, "frame-nothing-saved")
+
+    with every_joint() if without("frame-every-joint") else nullcontext():
+        return _timed_frames(outfit, trainer, without, config)
+
+
+def _timed_frames(
+    outfit: Outfit, trainer: Trainer, without: Callable[[str], bool], config: EconomyConfig
+) -> dict[str, Any]:
+    poses, shown = trainer.views.poses, _views(trainer, config.frames)
 
     hidden = None if without("frame-no-cull") else plan_hidden(outfit, poses, trainer.frames)
     plain, whole_layers = without("frame-plain"), without("frame-whole-layers")

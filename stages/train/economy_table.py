@@ -78,7 +78,7 @@ def markdown(result: Mapping[str, Any], names: Mapping[str, str]) -> str:
     ]
     lines.append("|---|---:|---:|---:|---:|---:|")
     for row in result["rows"]:
-        psnr = f"{row['psnr']:.3f} | {-row['psnr_difference']:.3f}" if "psnr" in row else " | "
+        psnr = f"{row['psnr']:.3f} | {0.0 - row['psnr_difference']:.3f}" if "psnr" in row else " | "
         lines.append(
             f"| {_part(row)}: {row['without']} | {1000 * row['seconds']:.1f} | {row['slower']:.2f} | "
             f"{row['peak_bytes'] / 1e6:.0f} | {psnr} |"

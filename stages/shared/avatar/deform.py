@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from stages.shared.avatar.maps import LayerMaps
+from stages.shared.avatar.used_joints import used
 from stages.shared.finite import finite, require_finite
 
 
@@ -60,6 +61,7 @@ def shaped_positions(maps: LayerMaps, betas: Tensor) -> Tensor:
 
 def blended(weights: Tensor, transforms: Tensor) -> Tensor:
     """Skinning matrices (N, 3, 4) from weights (N, 55) and bone transforms (55, 4, 4)."""
+    weights, transforms = used(weights, transforms)
     return (weights @ transforms[:, :3, :].reshape(-1, 12)).view(-1, 3, 4)
 
 

@@ -46,7 +46,7 @@ def blocks(page: Path) -> list[Block]:
 
 def _kind(language: str, content: str) -> str:
     first = content.split(maxsplit=1)[0] if content.strip() else ""
-    return "shell" if language in SHELL or (not language and first in PROGRAMS) else language
+    return "shell" if language in SHELL or (language in ("", "text") and first in PROGRAMS) else language
 
 
 def inline(page: Path) -> list[str]:

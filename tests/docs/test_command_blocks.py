@@ -41,8 +41,9 @@ def understood(line: str, whole: bool = True) -> None:
     """Raise, or return: the command exists, and every option takes what it is given."""
     for part in re.split(r"\s*(?:&&|;|\|)\s*", line):
         words = [word for word in shlex.split(part) if not re.fullmatch(r"[A-Z_]+=.*", word)]
-        if "gw" in words[:4] or words[:3] == ["torchrun", "-m", "gw_cli"]:
-            words = words[words.index("gw") + 1 :] if "gw" in words else words[3:]
+        program = next((word for word in ("gw", "gw_cli") if word in words[:6]), None)
+        if program:
+            words = words[words.index(program) + 1 :]
             understood_by_gw([word for word in words if word not in ("…", "...")], whole)
         elif words[:1] == ["make"]:
             targets = re.findall(r"^([a-z-]+):", (REPOSITORY / "Makefile").read_text(), re.MULTILINE)
@@ -77,6 +78,7 @@ def test_it_is_understood(line: str, whole: bool) -> None:
         "gw synth",
         "make coffee",
         "gw status a --preset",
+        "torchrun --nproc-per-node 2 -m gw_cli trian SUBJECT",
     ],
 )
 def test_a_line_that_is_wrong_is_seen(line: str) -> None:

@@ -115,6 +115,8 @@ def _rows(file: NumericNpz, name: str, columns: int | None, frames: int | None =
         )
     if frames is not None and len(rows) not in (1, frames):
         raise BadData(
-            f"{name} has {len(rows)} rows, poses has {frames}.", f"{file.path}: {name}", "Stack it."
+            f"{name} has {len(rows)} rows, poses has {frames}.",
+            f"{file.path}: {name}",
+            "Give one row, or as many as there are frames.",
         )
     return rows if frames is None else np.broadcast_to(rows, (frames, rows.shape[1])).copy()

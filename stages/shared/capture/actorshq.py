@@ -123,7 +123,9 @@ def read_calibration(path: Path) -> dict[str, Camera]:
         name = row["name"].strip()
         if name in cameras or not re.fullmatch(r"[\w.-]{1,64}", name):
             raise BadData(
-                f"The camera name {name!r} is unusable or stands twice.", f"{path}, line {number}", "Mend it."
+                f"The camera name {name!r} is unusable or stands twice.",
+                f"{path}, line {number}",
+                "Give every camera a name of its own, of letters, digits, dot, dash, underscore.",
             )
         cameras[name] = _camera_of_row(name, row, f"{path}, line {number}")
     return cameras
@@ -176,7 +178,9 @@ def _camera_split(
         unknown = [name for name in names if name not in cameras] if isinstance(names, list) else [names]
         if unknown:
             raise BadData(
-                f"{key} names a camera without calibration: {unknown[0]!r}.", str(scene_path), "Mend it."
+                f"{key} names a camera without calibration: {unknown[0]!r}.",
+                str(scene_path),
+                "Take it out of the list, or add its row to calibration.csv.",
             )
     if "train_cameras" in given:
         return list(given["train_cameras"]), list(given.get("heldout_cameras", []))

@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.shared.body import JOINT_INDEX, Poses
+from stages.shared.pictures.srgb import linear_from_srgb
 from stages.synth.bodies import Person, ShapedBody
 from stages.synth.coverings import hair_cap, shoe
 from stages.synth.garments import Garment
 from stages.synth.grading import carry
-from stages.synth.patterns import ROW_LENGTH, VERTEX_COLORS, linear_from_srgb
+from stages.synth.patterns import ROW_LENGTH, VERTEX_COLORS
 
 Floats = NDArray[np.float64]
 

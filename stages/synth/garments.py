@@ -20,7 +20,7 @@ from stages.synth.coverings import (
     trousers,
 )
 from stages.synth.grading import carry
-from stages.synth.patterns import Fabric
+from stages.synth.patterns import ARGYLE, CHECKS, DOTS, STRIPES, TARTAN, Fabric
 from stages.synth.skirt import flared_skirt
 
 Floats = NDArray[np.float64]
@@ -75,16 +75,16 @@ def wardrobe(mean: ShapedBody, spacing: float, seed: int) -> tuple[list[Pattern]
     """What each of the two people wears, inner layer first."""
     ripple = float(np.random.default_rng(seed).uniform(0, 2 * np.pi))
     striped = Fabric(
-        1, 0.052, ((0.93, 0.93, 0.90), (0.10, 0.16, 0.42), (0.96, 0.66, 0.10), (0.62, 0.10, 0.08))
+        STRIPES, 0.052, ((0.93, 0.93, 0.90), (0.10, 0.16, 0.42), (0.96, 0.66, 0.10), (0.62, 0.10, 0.08))
     )
     tartan = Fabric(
-        2, 0.118, ((0.66, 0.10, 0.10), (0.09, 0.22, 0.15), (0.95, 0.82, 0.25), (0.93, 0.93, 0.93))
+        TARTAN, 0.118, ((0.66, 0.10, 0.10), (0.09, 0.22, 0.15), (0.95, 0.82, 0.25), (0.93, 0.93, 0.93))
     )
-    dotted = Fabric(4, 0.056, ((0.10, 0.44, 0.48), (0.96, 0.95, 0.88)))
-    checked = Fabric(3, 0.046, ((0.80, 0.72, 0.58), (0.28, 0.22, 0.20)))
-    argyle = Fabric(5, 0.096, ((0.46, 0.09, 0.22), (0.90, 0.62, 0.20), (0.95, 0.93, 0.90)))
+    dotted = Fabric(DOTS, 0.056, ((0.10, 0.44, 0.48), (0.96, 0.95, 0.88)))
+    checked = Fabric(CHECKS, 0.046, ((0.80, 0.72, 0.58), (0.28, 0.22, 0.20)))
+    argyle = Fabric(ARGYLE, 0.096, ((0.46, 0.09, 0.22), (0.90, 0.62, 0.20), (0.95, 0.93, 0.90)))
     shirt = t_shirt(mean, spacing)
-    badge = Fabric(1, striped.period, striped.colors, (0.055, float(mean.joints[9, 1]) + 0.10, 0.042))
+    badge = Fabric(STRIPES, striped.period, striped.colors, (0.055, float(mean.joints[9, 1]) + 0.10, 0.042))
     first = [
         Pattern("flared skirt", LOWER, flared_skirt(mean, spacing, tartan.period, ripple), tartan, 0.005),
         Pattern("striped T-shirt", UPPER, shirt, badge, 0.006),

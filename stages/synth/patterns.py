@@ -11,6 +11,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from stages.shared.pictures.srgb import linear_from_srgb
+
 Rgb = tuple[float, float, float]
 
 VERTEX_COLORS, STRIPES, TARTAN, CHECKS, DOTS, ARGYLE = range(6)
@@ -43,18 +45,6 @@ class Fabric:
         if self.emblem is not None:
             row[14:17] = self.emblem
         return row
-
-
-def linear_from_srgb(color: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Linear light 0..1 of sRGB 0..1 (IEC 61966-2-1)."""
-    color = np.asarray(color, dtype=np.float64)
-    return np.where(color <= 0.04045, color / 12.92, ((np.maximum(color, 0.0) + 0.055) / 1.055) ** 2.4)
-
-
-def srgb_from_linear(light: NDArray[np.floating]) -> NDArray[np.float64]:
-    """sRGB 0..1 of linear light, clipped to 0..1 (IEC 61966-2-1)."""
-    light = np.clip(light, 0.0, 1.0)
-    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
 
 
 @njit(cache=True, nogil=True)

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 from stages.shared.body.poses import npz_bytes
 from stages.shared.meshes import Mesh, RayScene, edges, keep_faces, vertex_normals
 from stages.shared.meshes.ply import encode_ply
+from stages.shared.pictures.srgb import srgb_from_linear
 from stages.synth.dressed import Look
 from stages.synth.garments import Garment
-from stages.synth.patterns import fabric_color, srgb_from_linear
+from stages.synth.patterns import fabric_color
 
 Floats = NDArray[np.float64]
 Faces = NDArray[np.int64]

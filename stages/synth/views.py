@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from stages.shared.capture import NO_LABEL, Camera
 from stages.shared.meshes import RayScene, vertex_normals
+from stages.shared.pictures.srgb import srgb_from_linear
 from stages.synth.dressed import Look
-from stages.synth.patterns import fabric_color, srgb_from_linear
+from stages.synth.patterns import fabric_color
 
 Floats = NDArray[np.float64]
 Image = NDArray[np.uint8]

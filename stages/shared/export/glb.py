@@ -110,6 +110,8 @@ class GlbReader:
             self.content: dict[str, Any] = json.loads(data[20 : 20 + length])
         except (ValueError, RecursionError) as error:
             raise self._refused("its JSON cannot be read") from error
+        if not isinstance(self.content, dict):
+            raise self._refused("its JSON is no object")
         start = 20 + length
         if total < start + 8 or struct.unpack_from("<I", data, start + 4)[0] != _BINARY:
             raise self._refused("it has no binary chunk")

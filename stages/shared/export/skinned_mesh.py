@@ -25,7 +25,8 @@ from stages.shared.body import (
     shaped_joints,
 )
 from stages.shared.export.glb import ELEMENT_BUFFER, GlbWriter
-from stages.shared.export.splat_glb import linear_from_srgb
+from stages.shared.meshes.topology import vertex_normals
+from stages.shared.pictures.srgb import linear_from_srgb
 
 JOINTS_PER_VERTEX = 8  # two sets of four, as glTF has them
 
@@ -148,15 +149,10 @@ def _animation(glb: GlbWriter, poses: Poses, root: NDArray[np.float64]) -> dict[
 
 
 def _normals(vertices: NDArray[np.floating], faces: NDArray[np.int32]) -> NDArray[np.float32]:
-    """(V, 3) unit, area-weighted means of the faces'; up for a vertex without a face."""
-    corners = vertices[faces].astype(np.float64)
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    total = np.zeros((len(vertices), 3))
-    for corner in range(3):
-        np.add.at(total, faces[:, corner], across)
-    length = np.linalg.norm(total, axis=1, keepdims=True)
-    up = np.array([0.0, 1.0, 0.0])
-    return np.where(length > 1e-12, total / np.maximum(length, 1e-12), up).astype(np.float32)
+    """(V, 3) unit; up for a vertex without a face, since glTF knows no normal of zero length."""
+    normals = vertex_normals(vertices, faces)
+    normals[~normals.any(axis=1)] = (0.0, 1.0, 0.0)
+    return normals
 
 
 def _translations(points: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -7,6 +7,7 @@ as glTF wants vertex colours.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +15,20 @@ from numpy.typing import NDArray
 
 from stages.shared.errors import BadData
 from stages.shared.export.glb import GlbReader, GlbWriter
+from stages.shared.pictures.srgb import linear_from_srgb
 from stages.shared.splat.ply import HARMONIC, SplatCloud
 
 EXTENSION = "KHR_gaussian_splatting"
 _POINTS = 0
+_CONSTANT = "SH_DEGREE_0_COEF_0"
+# What every Gaussian has, and the shape of one.
+_ATTRIBUTES: dict[str, tuple[int, ...]] = {
+    "POSITION": (3,),
+    f"{EXTENSION}:ROTATION": (4,),
+    f"{EXTENSION}:SCALE": (3,),
+    f"{EXTENSION}:OPACITY": (),
+    f"{EXTENSION}:{_CONSTANT}": (3,),
+}
 
 
 def write_splat_glb(path: Path, cloud: SplatCloud, layers: tuple[str, ...] = ()) -> None:
@@ -58,20 +69,15 @@ def read_splat_glb(path: Path) -> tuple[SplatCloud, tuple[str, ...]]:
     """
     glb = GlbReader(path)
     parts, names = [], []
-    for mesh in glb.content.get("meshes", []):
-        for primitive in mesh.get("primitives", []):
-            if EXTENSION not in primitive.get("extensions", {}):
-                continue
-            fields = primitive["attributes"]
-            wanted = ["POSITION"]
-            wanted += [f"{EXTENSION}:{name}" for name in ("ROTATION", "SCALE", "OPACITY", _CONSTANT)]
-            missing = [name for name in wanted if name not in fields]
-            if missing:
-                raise BadData(
-                    f"A primitive has no attribute {missing[0]}.", str(path), "Export the file again."
-                )
-            parts.append([glb.array(fields[name]).astype(np.float32) for name in wanted])
-            names.append(str(mesh.get("name", "")))
+    for name, fields in _splat_primitives(glb, path):
+        missing = [attribute for attribute in _ATTRIBUTES if attribute not in fields]
+        if missing:
+            raise BadData(f"A primitive has no attribute {missing[0]}.", str(path), "Export the file again.")
+        part = [glb.array(fields[attribute]).astype(np.float32) for attribute in _ATTRIBUTES]
+        if [values.shape for values in part] != [(len(part[0]), *shape) for shape in _ATTRIBUTES.values()]:
+            raise BadData("A primitive's attributes do not fit together.", str(path), "Export it again.")
+        parts.append(part)
+        names.append(name)
     if not parts:
         raise BadData("The file holds no Gaussians.", str(path), "Give a file with KHR_gaussian_splatting.")
     means, turned, scales, opacities, constant = (
@@ -83,7 +89,17 @@ def read_splat_glb(path: Path) -> tuple[SplatCloud, tuple[str, ...]]:
     return cloud, tuple(names)
 
 
-_CONSTANT = "SH_DEGREE_0_COEF_0"
+def _splat_primitives(glb: GlbReader, path: Path) -> Iterator[tuple[str, dict[str, int]]]:
+    """Name of the mesh and attributes of every primitive with the extension."""
+    try:
+        for mesh in glb.content.get("meshes", []):
+            for primitive in mesh.get("primitives", []):
+                if EXTENSION in primitive.get("extensions", {}):
+                    yield str(mesh.get("name", "")), dict(primitive["attributes"])
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise BadData(
+            f"The file does not list its meshes as glTF does ({error}).", str(path), "Export it again."
+        ) from error
 
 
 def _primitive(glb: GlbWriter, cloud: SplatCloud, chosen: NDArray[np.bool_]) -> dict[str, object]:
@@ -105,8 +121,3 @@ def _primitive(glb: GlbWriter, cloud: SplatCloud, chosen: NDArray[np.bool_]) -> 
         "sortingMethod": "cameraDistance",
     }
     return {"mode": _POINTS, "attributes": attributes, "extensions": {EXTENSION: extension}}
-
-
-def linear_from_srgb(colors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Linear light of sRGB values 0..1 (IEC 61966-2-1)."""
-    return np.where(colors <= 0.04045, colors / 12.92, ((colors + 0.055) / 1.055) ** 2.4)

@@ -193,16 +193,40 @@ def test_strange_glb_is_refused(posed, tmp_path: Path) -> None:
     write_splats(path, cloud_of(posed), posed.layers)
     whole = path.read_bytes()
     text = whole[20 : 20 + struct.unpack_from("<I", whole, 12)[0]]
-    content = json.loads(text)
-    content["accessors"][0]["count"] = 10**15
-    forged = json.dumps(content).encode()
-    forged += b" " * (-len(forged) % 4)
     rest = whole[20 + len(text) :]
-    head = struct.pack("<IIIII", 0x46546C67, 2, 20 + len(forged) + len(rest), len(forged), 0x4E4F534A)
-    for data in (b"", b"glTF", whole[:-5], whole[:12] + bytes(8) + whole[20:], head + forged + rest):
+
+    def forged(content: object) -> bytes:
+        words = json.dumps(content).encode()
+        words += b" " * (-len(words) % 4)
+        size = 20 + len(words) + len(rest)
+        return struct.pack("<IIIII", 0x46546C67, 2, size, len(words), 0x4E4F534A) + words + rest
+
+    def changed(*place: object, value: object) -> bytes:
+        content = json.loads(text)
+        inside = content
+        for word in place[:-1]:
+            inside = inside[word]
+        inside[place[-1]] = value
+        return forged(content)
+
+    first = ("meshes", 0, "primitives", 0, "attributes")
+    position = json.loads(text)["meshes"][0]["primitives"][0]["attributes"]["POSITION"]
+    spoiled = [
+        b"",
+        b"glTF",
+        whole[:-5],
+        whole[:12] + bytes(8) + whole[20:],
+        forged([]),
+        forged({"meshes": 1}),
+    ]
+    spoiled += [changed("accessors", 0, "count", value=10**15), changed(*first, value=7)]
+    spoiled += [changed("meshes", 0, value="none"), changed(*first, "POSITION", value="x")]
+    spoiled.append(changed(*first, "KHR_gaussian_splatting:OPACITY", value=position))  # points, not shares
+    for number, data in enumerate(spoiled):
         path.write_bytes(data)
         with pytest.raises(BadData, match=r"a\.glb"):
             read_splats(path)
+            raise AssertionError(number)
 
 
 def test_verify_looks_at_splat_files(posed, tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from stages.shared.pictures.srgb import linear_from_srgb, srgb_from_linear
 from stages.synth.patterns import (
     ARGYLE,
     CHECKS,
@@ -13,8 +14,6 @@ from stages.synth.patterns import (
     TARTAN,
     Fabric,
     fabric_color,
-    linear_from_srgb,
-    srgb_from_linear,
 )
 
 COLORS = ((0.9, 0.9, 0.9), (0.1, 0.1, 0.5), (0.8, 0.2, 0.1), (0.2, 0.7, 0.2))

@@ -48,9 +48,9 @@ def load_body(path: Path) -> BodyModel:
             **_shape_and_expression(file),
         }
         if "kintree_table" in file:
-            check_parents(file.array("kintree_table")[0], str(path))
+            check_parents(np.atleast_2d(file.array("kintree_table"))[0], str(path))
         if "posedirs" in file:
-            directions = file.array("posedirs")
+            directions = np.atleast_1d(file.array("posedirs"))
             arrays["pose_directions"] = directions.reshape(-1, directions.shape[-1]).T
         for ours, theirs in (
             ("hand_components_left", "hands_componentsl"),
@@ -77,8 +77,8 @@ def embedded_body() -> BodyModel:
 
 def _shape_and_expression(file: NumericNpz) -> dict[str, NDArray[Any]]:
     directions = file.array("shapedirs")
-    columns = directions.shape[-1]
-    if directions.ndim != 3 or columns < SHAPE_COUNT:
+    columns = directions.shape[-1] if directions.ndim == 3 else 0
+    if columns < SHAPE_COUNT:
         raise BadData(
             f"shapedirs has shape {directions.shape}; at least {SHAPE_COUNT} shape directions are needed.",
             f"{file.path}: shapedirs",

@@ -27,6 +27,7 @@ _OPTIONAL = (
     "hand_mean_left",
     "hand_mean_right",
 )
+_HAND_VALUES = 45  # axis-angle of the 15 joints of a hand
 _REQUIRED = ("template_vertices", "faces", "shape_directions", "joint_regressor", "skin_weights")
 
 
@@ -120,7 +121,7 @@ class BodyModel:
 
 def _check(model: BodyModel) -> None:
     """Refuse a model whose arrays do not fit together."""
-    count = len(model.template_vertices)
+    count = len(np.atleast_1d(model.template_vertices))
     expected = {
         "template_vertices": (count, 3),
         "shape_directions": (count, 3, SHAPE_COUNT),
@@ -131,6 +132,12 @@ def _check(model: BodyModel) -> None:
         expected["expression_directions"] = (count, 3, model.expression_directions.shape[-1])
     if model.pose_directions is not None:
         expected["pose_directions"] = ((JOINT_COUNT - 1) * 9, count * 3)
+    for side in ("left", "right"):
+        components, mean = (getattr(model, f"hand_{part}_{side}") for part in ("components", "mean"))
+        if components is not None:
+            expected[f"hand_components_{side}"] = (*components.shape[:1], _HAND_VALUES)
+        if mean is not None:
+            expected[f"hand_mean_{side}"] = (_HAND_VALUES,)
     for name, shape in expected.items():
         values = getattr(model, name)
         if values.shape != shape:

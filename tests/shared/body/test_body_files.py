@@ -94,6 +94,22 @@ def with_value(name: str, value: float) -> np.ndarray:
         ({"kintree_table": np.zeros((2, 55), int)}, "hangs on"),
         ({"J_regressor": np.zeros((55, VERTICES))}, "sum to 1"),
         ({"posedirs": np.zeros((VERTICES, 3, 207))}, "pose_directions"),
+        ({"hands_meanl": np.zeros(44)}, "hand_mean_left has shape"),
+        ({"hands_componentsr": np.zeros((45, 44))}, "hand_components_right has shape"),
+        *(
+            ({name: np.array(1.0)}, "shape|joints|faces")
+            for name in (
+                "v_template",
+                "f",
+                "shapedirs",
+                "J_regressor",
+                "weights",
+                "kintree_table",
+                "posedirs",
+                "hands_meanl",
+                "hands_componentsl",
+            )
+        ),
     ],
 )
 def test_wrong_files_are_refused(tmp_path: Path, changes: dict[str, np.ndarray | None], message: str) -> None:

@@ -12,7 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from typer.testing import CliRunner
 
+from gw_cli.app import app
 from stages.distill import stage as distill
 from stages.distill.config import DistillConfig
 from stages.export_garment import stage as export_garment
@@ -217,6 +219,20 @@ def _state(subject: Path) -> tuple[str, list[str]]:
     trained = next(one for one in found if one.stage == "train")
     reasons = [reason for reason in trained.reasons if "not made" not in reason]
     return trained.state, reasons
+
+
+def test_a_plan_names_the_other_subject_and_counts_its_layers(inner: Path, subject: Path) -> None:
+    planned = stage.plan(subject, tiny(), from_subject=inner)
+    assert str(inner) in planned.inputs
+    assert [name.rsplit("/", 1)[1] for name in planned.outputs] == [
+        "body.safetensors", "upper.safetensors", "outer.safetensors"
+    ]  # fmt: skip
+    assert not (subject / "train").exists()
+
+
+def test_layers_without_a_subject_to_take_them_from_are_refused(subject: Path) -> None:
+    result = CliRunner().invoke(app, ["train", str(subject), "--from-layers", "body", "--dry-run"])
+    assert result.exit_code == 2 and "Give --from-subject." in result.output
 
 
 def test_what_cannot_be_a_start_is_refused(inner: Path, subject: Path, tmp_path: Path) -> None:

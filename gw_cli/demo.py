@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -40,4 +41,22 @@ def register(app: typer.Typer) -> None:
             console.plan(stage.plan(output, config))
             return
         result = stage.run(output, config, console)
-        console.result(result.summary, next_command=f"open {result.page}")
+        shown = dict(result.summary)
+        if not as_json:  # all scores are on the page
+            for line in _scores(shown.pop("scores")):
+                console.say(line)
+        console.result(shown, next_command=f"open {result.page}")
+
+
+def _scores(evaluations: dict[str, Any]) -> Iterator[str]:
+    """A line per evaluation and split: foreground PSNR of what was learned and of what learned nothing."""
+    for title, found in evaluations.items():
+        for split, means in found.items():
+            rows = means if isinstance(means, dict) and "psnr_foreground" not in means else {"": means}
+            values = [
+                f"{method} {scores['psnr_foreground']:.2f} dB".strip()
+                for method, scores in rows.items()
+                if isinstance(scores, dict) and scores.get("psnr_foreground") is not None
+            ]
+            if values:
+                yield f"{title}, {split.replace('_', ' ')}: {', '.join(values).replace('_', ' ')}"

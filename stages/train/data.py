@@ -5,6 +5,7 @@ The choice is a function of (seed, step) alone, so a resumed run goes on as if i
 
 from __future__ import annotations
 
+import threading
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ from torch import Tensor
 from stages.shared.body import BodyModel, Poses, posed_vertices
 from stages.shared.capture import NO_LABEL, Camera
 from stages.shared.errors import MissingInput
+from stages.train.ahead import Ahead
 from stages.train.footage import Footage
 from stages.train.method import layer_of_label
 from stages.train.outline import mesh_outline
@@ -27,6 +29,8 @@ from stages.train.window import Window
 _BACKGROUND, _UNKNOWN = 250, 255
 _MASK_THRESHOLD = 127
 _MARGIN = 8
+ViewKey = tuple[int, str, float, Window | None]
+"""Frame, camera, scale, window."""
 
 
 @dataclass(frozen=True)
@@ -98,6 +102,9 @@ class TrainingViews:
         self.footage, self.poses, self.body, self.layers = footage, poses, body, tuple(layers)
         self.cache_bytes = cache_bytes
         self._cached_bytes = 0
+        self._cache_lock = threading.Lock()
+        self._posed: dict[int, NDArray[np.float32]] = {}
+        self.ahead: Ahead[ViewKey, View] = Ahead(self._made)
         self._crops: OrderedDict[tuple[int, str], _Crop] = OrderedDict()
         self._layer_of_id = np.full(256, _UNKNOWN, dtype=np.uint8)
         for label, layer in layer_of_label(self.layers).items():
@@ -113,6 +120,10 @@ class TrainingViews:
 
     def view(self, frame: int, camera: str, scale: float = 1.0, window: Window | None = None) -> View:
         """One view at `scale` times its resolution, or a window of it."""
+        return self.ahead.value((frame, camera, scale, window))
+
+    def _made(self, key: ViewKey) -> View:
+        frame, camera, scale, window = key
         crop = self._crop(frame, camera)
         seen_by = crop.camera if scale == 1.0 else crop.camera.scaled(scale)
         size = (seen_by.width, seen_by.height)
@@ -143,12 +154,15 @@ class TrainingViews:
         )
 
     def _crop(self, frame: int, camera: str) -> _Crop:
-        key = (frame, camera)
+        with self._cache_lock:
+            return self._cached_crop((frame, camera))
+
+    def _cached_crop(self, key: tuple[int, str]) -> _Crop:
         crop = self._crops.get(key)
         if crop is not None:
             self._crops.move_to_end(key)
             return crop
-        crop = self._read(frame, camera)
+        crop = self._read(*key)
         self._crops[key] = crop
         self._cached_bytes += crop.bytes
         while self._cached_bytes > self.cache_bytes and len(self._crops) > 1:
@@ -178,10 +192,13 @@ class TrainingViews:
         return _Crop(seen_by, self.footage.image(camera, frame)[inside].copy(), mask.copy(), layer, outline)
 
     def _body_vertices(self, frame: int) -> NDArray[np.float32]:
-        poses = self.poses[frame]
-        arrays = (poses.rotations[0], poses.translation[0], poses.betas, poses.expression[0])
-        rotations, translation, betas, expression = (torch.from_numpy(array) for array in arrays)
-        return posed_vertices(self.body, rotations, translation, betas, expression).numpy()
+        if frame not in self._posed:
+            poses = self.poses[frame]
+            arrays = (poses.rotations[0], poses.translation[0], poses.betas, poses.expression[0])
+            rotations, translation, betas, expression = (torch.from_numpy(array) for array in arrays)
+            vertices = posed_vertices(self.body, rotations, translation, betas, expression).numpy()
+            self._posed = {frame: vertices}  # the cameras of a step look at one frame
+        return self._posed[frame]
 
 
 @dataclass(frozen=True)

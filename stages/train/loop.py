@@ -45,7 +45,8 @@ def learn(
     def keep() -> None:
         checkpoint.save(progress, trainer, state)
 
-    with _interrupt_flag() as interrupted, processes.failing_together(keep):
+    reading = trainer.views.ahead.reading()
+    with _interrupt_flag() as interrupted, processes.failing_together(keep), reading:
         _follow(trainer, progress, state, interrupted, report)
         report.step("train")
         saved = previewed = time.monotonic()

@@ -23,7 +23,7 @@ def mesh_outline(
     return covered
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _draw(pixels: NDArray[np.float64], faces: NDArray[np.int64], covered: NDArray[np.bool_]) -> None:
     """Set the pixels of every triangle; `pixels` (V, 2) x, y, NaN behind the camera."""
     height, width = covered.shape

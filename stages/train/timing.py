@@ -68,17 +68,18 @@ def measure(trainer: Trainer, steps: int, report: Report) -> dict[str, Any]:
     first = int(_SHARE_OF_RUN * trainer.config.steps)
     elapsed = _SHARE_OF_RUN * 60.0 * trainer.config.minutes
     report.step("steps")
-    trainer.step(first, elapsed)
     rows: list[dict[str, float]] = []
     kernels: list[dict[str, float]] = []
-    for number in range(first + 1, first + 1 + steps):
-        started = time.perf_counter()
-        with watch() as seconds:
-            phases = trainer.step(number, elapsed).seconds
-        rows.append({"step": time.perf_counter() - started, **phases})
-        backward = sum(seconds.get(name, 0.0) for name in _BACKWARD_KERNELS)
-        kernels.append({"forward": sum(seconds.values()) - backward, "backward": backward})
-        report.progress(len(rows), steps)
+    with trainer.views.ahead.reading():
+        trainer.step(first, elapsed)
+        for number in range(first + 1, first + 1 + steps):
+            started = time.perf_counter()
+            with watch() as seconds:
+                phases = trainer.step(number, elapsed).seconds
+            rows.append({"step": time.perf_counter() - started, **phases})
+            backward = sum(seconds.get(name, 0.0) for name in _BACKWARD_KERNELS)
+            kernels.append({"forward": sum(seconds.values()) - backward, "backward": backward})
+            report.progress(len(rows), steps)
     medians = _medians(rows)
     report.step("splatting alone")
     composite, cameras = _pictures(trainer, first)

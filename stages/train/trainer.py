@@ -24,7 +24,7 @@ from stages.shared.losses.perceptual import Perceptual
 from stages.train import schedule
 from stages.train.begin import Beginnings, own_motion
 from stages.train.config import LossWeights, TrainConfig
-from stages.train.data import StepChoice, TrainingViews, choose
+from stages.train.data import StepChoice, TrainingViews, ViewKey, choose
 from stages.train.distributed import ALONE, Processes
 from stages.train.leaves import detached, give_gradients, roots, take_gradients
 from stages.train.objective import Lens, Surfaces, picture_terms, surface_terms, weighted
@@ -142,7 +142,8 @@ class Trainer:
         """Learn from one frame, `elapsed` s into the run. A step that is not finite changes nothing."""
         done = schedule.progress(self.config, number, elapsed)
         weights = schedule.stage_weights(self.config, done)
-        choice = choose(self.config.seed, number, self.frames, self.cameras, self.config.views_per_step)
+        choice = self._choice(number)
+        self.views.ahead.expect([*self._seen(number, elapsed), *self._seen(number + 1, elapsed)])
         clock = _Clock()
         coarse = schedule.is_coarse(self.config, done)
         self.optimizer.zero_grad(set_to_none=True)
@@ -197,8 +198,8 @@ class Trainer:
             seeds: list[Tensor] = []
             for camera, background in group:
                 with clock("data"):
-                    view = self.views.view(choice.frame, camera, scale, self._window(choice, camera))
-                    view = view.to(self.device)
+                    window = self._window(choice, camera)
+                    view = self.views.view(choice.frame, camera, scale, window).to(self.device)
                 with clock("splat"):
                     behind = torch.from_numpy(background).to(self.device)
                     lens = self._lens(choice.frame, view.camera)
@@ -236,6 +237,16 @@ class Trainer:
         if not self.config.patch:
             return None
         return Window(self.config.patch, (self.config.seed, 5, choice.step, choice.cameras.index(camera)))
+
+    def _choice(self, number: int) -> StepChoice:
+        return choose(self.config.seed, number, self.frames, self.cameras, self.config.views_per_step)
+
+    def _seen(self, number: int, elapsed: float) -> list[ViewKey]:
+        """The views that this process looks at in a step, `elapsed` s into the run."""
+        choice = self._choice(number)
+        scale = schedule.image_scale(self.config, schedule.progress(self.config, number, elapsed))
+        cameras = self.processes.share(choice.cameras)
+        return [(choice.frame, camera, scale, self._window(choice, camera)) for camera in cameras]
 
     def _lens(self, frame: int, camera: Camera) -> Lens | None:
         """How the perceptual terms look at a view; None without the metric."""

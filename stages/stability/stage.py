@@ -28,6 +28,20 @@ what moving every input by one unit in the last place changes: how much the prob
 rounding. *Refused* is an error that names the array and the index; there is no third outcome: {cases} cases,
 {finite} finite, {refused} refused, {not_finite} neither. bfloat16 is listed where a function takes it, and
 shows why none of this runs in it.
+
+An entry of 1 is one of three things: a number too small for its type became 0 (squares of 1e-30 in float32);
+what is 0 in truth is rounding here (round Gaussians have no orientation to differentiate by); or the problem
+has no answer at that size (an angle of 1e20 rad, where neighbouring numbers are turns apart; joints that turn
+by half a turn a frame, either way). What follows the garments in training (`stages/train/solve`,
+`displacement`, `collision`) is tried by `tests/extremes` as well, on systems from 1e-200 to 1e200, layers of
+one texel, pictures of nothing and cameras anywhere.
+
+### At a glance
+
+The worst of the everyday range, where the tests hold float32 to the limit in brackets, and the first
+magnitude beyond it that float32 refuses.
+
+{glance}
 """
 
 
@@ -73,7 +87,7 @@ def summary(rows: Sequence[Measured]) -> dict[str, Any]:
 
 def markdown(rows: Sequence[Measured]) -> str:
     """One table per family: magnitude against error (of the gradients, after a slash), by precision."""
-    lines = [_HEADER.format(**summary(rows))]
+    lines = [_HEADER.format(**summary(rows), glance="\n".join(_glance(rows)))]
     for family in dict.fromkeys(row.family for row in rows):
         lines += [f"### {family[0].upper()}{family[1:]}", ""]
         lines += ["| function | input | magnitude | " + " | ".join(PRECISIONS) + " |", "| --- " * 6 + "|"]
@@ -86,6 +100,40 @@ def markdown(rows: Sequence[Measured]) -> str:
             lines.append(f"| {function} | {axis} | {magnitude:.12g} | {values} |")
         lines.append("")
     return "\n".join(lines)
+
+
+def _glance(rows: Sequence[Measured]) -> list[str]:
+    """One line per function and input: its range of everyday numbers and the worst errors in it."""
+    lines = ["| function | input | everyday | float32 | its gradients | bfloat16 | refused from |"]
+    lines += ["| --- " * 7 + "|"]
+    for function in FUNCTIONS:
+        own = [row for row in rows if (row.function, row.axis) == (function.name, function.axis)]
+        if not own:
+            continue
+        low, high = function.everyday
+        everyday = [row for row in own if low <= row.magnitude <= high]
+        beyond = [row.magnitude for row in own if row.precision == "float32" and row.outcome == "refused"]
+        cells = [
+            function.name,
+            function.axis,
+            f"{low:g} to {high:g}",
+            _worst([row.error for row in everyday if row.precision == "float32"], function.tolerance),
+            _worst(
+                [row.gradient_error for row in everyday if row.precision == "float32"],
+                function.gradient_tolerance,
+            ),
+            _worst([row.error for row in everyday if row.precision == "bfloat16"], None),
+            f"{min(above):g}" if (above := [size for size in beyond if size > high]) else "",
+        ]
+        lines.append("| " + " | ".join(cells) + " |")
+    return lines
+
+
+def _worst(errors: Sequence[float | None], limit: float | None) -> str:
+    known = [error for error in errors if error is not None]
+    if not known:
+        return ""
+    return f"{max(known):.0e}" + (f" [{limit:.0e}]" if limit is not None and limit < 1 else "")
 
 
 def _cell(row: Measured) -> str:

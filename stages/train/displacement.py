@@ -114,6 +114,7 @@ class Equations:
         pixel = index[chosen]
         flow = seen.flow[pixel]
         goal, there = _pixel_index(pixels[chosen] + flow, width, height)
+        flow = np.where(there[:, None], flow, 0.0)  # out of the picture, or no number
         trust = seen.trust[pixel] * (there & wanted.reshape(-1)[goal])
         xx, xy, yy = (seen.tensor[pixel] * trust[:, None]).T
         metric = np.stack((xx, xy, xy, yy), axis=1).reshape(-1, 2, 2)

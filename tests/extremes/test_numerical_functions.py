@@ -6,10 +6,12 @@ Where the numbers are those of everyday work, float32 agrees with float64.
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import stages.shared.losses
 from stages.shared.errors import BadData
 from stages.stability.function import Function
 from stages.stability.functions import FUNCTIONS
@@ -27,7 +29,8 @@ SPOILED = [
     pytest.param(function, name, value, id=f"{function.name}-{function.axis}-{name}-{value}")
     for function in FUNCTIONS
     if not (function.family == "splatting" and function.axis != "opacity")
-    for name in inputs_of(function, function.everyday[1], "float32")
+    for name, values in inputs_of(function, function.everyday[1], "float32").items()
+    if values.shape  # a lone number, as a frame rate, is an option
     for value in (np.nan, np.inf, -np.inf)
 ]
 
@@ -36,7 +39,19 @@ def test_there_are_enough() -> None:
     assert len(SIZES) + len(SPOILED) >= 400
     families = {function.family for function in FUNCTIONS}
     assert families >= {"rotations", "skinning", "shapes", "voxel sampling", "projection"}
-    assert families >= {"splatting", "normals", "losses", "bundles"}
+    assert families >= {"splatting", "normals", "losses", "bundles", "pose models", "try-on"}
+    names = {function.name for function in FUNCTIONS}
+    assert names >= {
+        *("rotation_matrices", "unit_quaternions", "slerp", "skin", "inverse_skin", "bone_transforms"),
+        *("VoxelField.sample", "inverse_distance_matrix", "shaped_positions", "shaped_vertices"),
+        *("Camera.project", "perspective", "image_covariances", "rasterize (reference)", "rasterize (cpu)"),
+        *("face_normals", "vertex_normals", "estimate_normals", "PosePrior", "AnchorOffsets"),
+        *("PoseCoefficients", "recent_motion", "resample", "decoder to picture", "smooth_field"),
+        *("arrays on disk", "16-bit tensor", "16-bit skin weights", "pack_body"),
+    }
+    losses = {path.stem for path in Path(stages.shared.losses.__path__[0]).glob("[a-z]*.py")} - {"crops"}
+    tried = {function.name.split(" ")[0].removesuffix("_loss") for function in FUNCTIONS}
+    assert losses - {"perceptual"} <= tried and "lpips" in tried, losses - tried
 
 
 @pytest.mark.parametrize(("function", "magnitude", "precision"), SIZES)

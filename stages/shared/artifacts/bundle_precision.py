@@ -51,8 +51,7 @@ def whole(arrays: Arrays) -> Arrays:
 def _half(array: np.ndarray) -> np.ndarray:
     if array.dtype != np.float32 or array.size == 0:
         return array
-    size = np.abs(array)
-    # A tensor all of whose values are tiny (a scale, say) would lose its digits.
-    if size.max() > _LARGEST or 0 < size.max() < _SMALLEST:
-        return array
-    return array.astype(np.float16)
+    largest = np.abs(array).max()
+    # A tensor all of whose values are tiny (a scale, say) would lose its digits. NaN is left as it is, for
+    # the writer to refuse.
+    return array.astype(np.float16) if largest == 0 or _SMALLEST <= largest <= _LARGEST else array

@@ -13,6 +13,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from stages.shared.finite import require_finite
+
 _BANDWIDTH = 0.5  # kernel width in units of the usual distance between neighbouring anchors
 _NARROWEST = 0.1  # in units of the usual distance
 _LEAST = 1e-3
@@ -63,6 +65,7 @@ class AnchorOffsets(nn.Module):
         return self._kernel(pose).sum().clamp(max=1.0)
 
     def _kernel(self, pose: Tensor) -> Tensor:
+        require_finite("AnchorOffsets", pose=pose)
         squared = (self.poses - pose).square().sum(dim=1) / (2 * self.bandwidth.square())
         kernel = torch.exp(-squared) - _LEAST
         kernel = kernel.clamp(min=0.0)  # exactly none, so that Adam does not enlarge traces of other poses

@@ -23,6 +23,7 @@ from stages.shared.avatar.maps import LayerMaps
 from stages.shared.avatar.motion import motion_length, motion_scale
 from stages.shared.avatar.texel_attributes import CHANNELS, TexelAttributes
 from stages.shared.errors import BadData
+from stages.shared.finite import require_finite
 
 BODY_JOINTS = 22  # without face and fingers
 GROUPS: dict[str, tuple[str, ...]] = {
@@ -78,6 +79,7 @@ class PoseCoefficients(nn.Module):
 
     def forward(self, local_transforms: Tensor, motion: Tensor | None = None) -> Tensor:
         """(55, 4, 4) bone transforms without shape and root, (H,) recent motion -> (K,)."""
+        require_finite("PoseCoefficients", local_transforms=local_transforms, motion=motion)
         described = self.describe(local_transforms, motion)[None]
         return (gaussian_kernel(described, self.centres, self.bandwidth) @ self.weights)[0]
 

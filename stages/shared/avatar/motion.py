@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from stages.shared.body import Poses
+from stages.shared.finite import finite
 
 _JOINTS = 22  # root and body, without face and fingers
 _FASTEST, _RATIO = 0.1, 3.0  # s, between time constants
@@ -62,7 +63,8 @@ def recent_motions(poses: Poses, frames: range, memories: int) -> Tensor:
         past = rates[max(0, here - reach) : here]
         held = [share[len(share) - len(past) :] @ past for share in shares]
         found[row] = torch.cat((root[here].T @ up, *held))
-    return found.float()
+    poses_seen = {"rotations": poses.rotations, "translation": poses.translation}
+    return finite(found.float(), "recent_motion", **poses_seen)
 
 
 def _shares(fps: float, memory: int, count: int) -> Tensor:
@@ -81,4 +83,4 @@ def motion_scale(motions: Tensor, usual: Tensor | float, least: float) -> Tensor
     memories = motions[:, UP:].reshape(len(motions), -1, RATES)
     spread = (memories - memories.mean(dim=0)).square().sum(dim=2).mean(dim=0).sqrt()
     scale[UP:] = (usual / spread.clamp(min=least)).repeat_interleave(RATES)
-    return scale
+    return finite(scale, "motion_scale", motions=motions)

@@ -12,6 +12,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+from stages.shared.finite import require_finite
+
 _LEAST_SHARE = 0.01  # of the first direction's deviation; weaker ones are noise and would rule the distance
 _WITHIN = 0.99  # share of training poses that count as inside
 
@@ -68,6 +70,7 @@ class PosePrior(nn.Module):
 
     def forward(self, values: Tensor) -> Tensor:
         """A map (M,), or its projection where it is outside."""
+        require_finite("PosePrior", values=values)
         if not self.outside(values):
             return values
         reach = self.sigma * self.deviations

@@ -106,7 +106,11 @@ class TexelAttributes(nn.Module):
         """
 
     def attributes(self, residual: Tensor) -> Attributes:
-        """Base attributes plus a residual (N, 14), through the heads' activations."""
+        """Base attributes plus a residual (N, 14), through the heads' activations.
+
+        Raises BadData where a residual is not finite: the activations would make a limit of infinity.
+        """
+        require_finite("attributes", residual=residual)
         widths = [high - low for low, high in CHANNELS.values()]
         part = dict(zip(CHANNELS, residual.split(widths, dim=1), strict=True))
         config = self.model_config

@@ -97,7 +97,7 @@ class Perceptual:
                 values = functional.conv2d(values, weight.to(image.dtype), bias.to(image.dtype), padding=1)
                 values = values.relu()
             # vector_norm, not the root of a sum: its gradient is 0 where all channels are
-            length = torch.linalg.vector_norm(values, dim=1, keepdim=True)
+            length = finite(torch.linalg.vector_norm(values, dim=1, keepdim=True), "lpips", image=image)
             found.append(values / (length + _EPSILON))
         return found
 

@@ -22,6 +22,7 @@ from scipy.spatial import cKDTree
 
 from stages.shared.avatar.deform import PosedGaussians
 from stages.shared.avatar.maps import LayerMaps
+from stages.shared.finite import finite, require_finite
 from stages.shared.outfit.coverage import covered_weights, same_grid
 from stages.shared.outfit.layer import WornLayer
 
@@ -104,7 +105,11 @@ def smooth_field(smoothing: sparse.csr_matrix, need: Floats, along: Floats) -> F
 
     Arguments:
         smoothing: (N, N) rows that average the linked texels. need: (N,) m ≥ 0. along: (N, 3) unit.
+
+    Raises:
+        BadData: a number that is not finite.
     """
+    require_finite("smooth_field", need=need, along=along)
     asks = np.flatnonzero(need > 0)
     wanted, direction = need[asks], along[asks]
     field = np.zeros_like(along)
@@ -113,7 +118,7 @@ def smooth_field(smoothing: sparse.csr_matrix, need: Floats, along: Floats) -> F
         field = (0.5 * _FADING) * (field + smoothing @ field)
         lacking = np.clip(wanted - np.einsum("nk,nk->n", field[asks], direction), 0, None)
         field[asks] += lacking[:, None] * direction
-    return np.asarray(field, np.float32)
+    return finite(np.asarray(field, np.float32), "smooth_field")
 
 
 def _smoothing(maps: LayerMaps) -> sparse.csr_matrix:

@@ -8,6 +8,7 @@ import torch
 
 from stages.shared.body.poses import Poses
 from stages.shared.errors import UsageProblem
+from stages.shared.finite import finite
 
 
 def resample(poses: Poses, fps: float) -> Poses:
@@ -21,7 +22,7 @@ def resample(poses: Poses, fps: float) -> Poses:
         floor((T−1)·fps/poses.fps) + 1 frames; `poses` itself when the rate is already right.
 
     Raises:
-        UsageProblem: fps is not a positive number.
+        UsageProblem: fps is not a positive number. BadData: a pose is not finite.
     """
     if not 0 < fps < 1e5:
         raise UsageProblem(
@@ -41,9 +42,11 @@ def resample(poses: Poses, fps: float) -> Poses:
     steps = roma.unitquat_to_rotvec(roma.quat_product(roma.quat_conjugation(start), end))
     moved = roma.quat_product(start, roma.rotvec_to_unitquat(steps * torch.from_numpy(share)[:, None, None]))
     rotations = roma.unitquat_to_rotvec(moved).numpy()
+    finite(rotations, "resample", rotations=poses.rotations)
 
     def linear(values: np.ndarray) -> np.ndarray:
-        return values[before] + (values[after] - values[before]) * share[:, None]
+        found = values[before] + (values[after] - values[before]) * share[:, None]
+        return finite(found, "resample", translation=poses.translation, expression=poses.expression)
 
     return Poses(rotations, linear(poses.translation), poses.betas, linear(poses.expression), fps)
 

@@ -95,7 +95,7 @@ def image_covariances(covars: Tensor, viewmat: Tensor, jacobian: Tensor) -> tupl
     m = jacobian @ viewmat[:3, :3]
     planar = m @ covars @ m.mT
     xx, xy, yy = planar[:, 0, 0].clamp_min(0), planar[:, 0, 1], planar[:, 1, 1].clamp_min(0)
-    limit = (xx * yy).sqrt().detach()
+    limit = (xx.sqrt() * yy.sqrt()).detach()  # their product can be too small for its type
     return xx, torch.where(xy.abs() > limit, limit * xy.sign().detach(), xy), yy
 
 

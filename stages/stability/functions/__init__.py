@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from stages.stability.function import Function
+from stages.stability.functions.avatars import AVATARS
 from stages.stability.functions.bundles import BUNDLES
 from stages.stability.functions.fields import FIELDS
 from stages.stability.functions.losses import LOSSES
@@ -19,6 +20,7 @@ FUNCTIONS: tuple[Function, ...] = (
     *PROJECTION,
     *SPLATTING,
     *NORMALS,
+    *AVATARS,
     *LOSSES,
     *BUNDLES,
 )

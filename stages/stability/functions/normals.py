@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from functools import cache
 from typing import Any
 
 import numpy as np
 import torch
 
 from stages.shared.avatar.deform import estimate_normals
-from stages.shared.avatar.maps import LayerMaps
 from stages.shared.meshes.topology import face_normals, vertex_normals
 from stages.stability.function import Function, Inputs
+from stages.stability.functions.sheet import SIDE, sheet
 
 _EDGES = (1e-150, 1e-30, 1e-18, 1e-9, 1e-3, 1.0, 1e6, 1e18, 1e30)
 _FACES = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]], np.int32)
-_GRID = 6
 
 
 def _tetrahedron(edge: float, random: np.random.Generator) -> Inputs:
@@ -23,42 +21,15 @@ def _tetrahedron(edge: float, random: np.random.Generator) -> Inputs:
     return {"vertices": edge * (corners + 0.1 * random.random((4, 3)))}
 
 
-@cache
-def _sheet() -> LayerMaps:
-    """A flat front map of 6 × 6 texels."""
-    rows, columns = np.divmod(np.arange(_GRID * _GRID), _GRID)
-    count = len(rows)
-    number = np.pad(np.arange(count).reshape(_GRID, _GRID), 1, constant_values=-1)
-    steps = ((-1, 0), (0, 1), (1, 0), (0, -1))
-    neighbours = np.stack([number[rows + 1 + r, columns + 1 + c] for r, c in steps], axis=1)
-    skin = np.zeros((count, 55), np.float32)
-    skin[:, 0] = 1
-    zeros = np.zeros((count, 3), np.float32)
-    arrays = {
-        "texels": np.stack([0 * rows, rows, columns], axis=1).astype(np.int32),
-        "window": np.array([0, 0, _GRID, _GRID], np.int32),
-        "positions": zeros,
-        "normals": zeros + np.array([0, 0, 1], np.float32),
-        "skin_weights": skin,
-        "shape_directions": np.zeros((count, 10, 3), np.float32),
-        "neighbours": neighbours.astype(np.int32),
-        "seams": np.zeros((0, 2), np.int32),
-        "spacing": np.full(count, 0.01, np.float32),
-        "colors": zeros,
-        "color_confidence": np.ones(count, np.float32),
-    }
-    return LayerMaps.from_arrays("body", arrays, 0.01, (0.0, 0.0, 0.0), _GRID)
-
-
 def _hills(pitch: float, random: np.random.Generator) -> Inputs:
-    rows, columns = np.divmod(np.arange(_GRID * _GRID), _GRID)
+    rows, columns = np.divmod(np.arange(SIDE * SIDE), SIDE)
     heights = 0.5 * random.random(len(rows))
     points = np.stack([columns, -rows, heights], axis=1).astype(float)
     return {"means": pitch * points, "fallback": np.tile([0.0, 0.0, 1.0], (len(rows), 1))}
 
 
 def _texel_normals(a: dict[str, Any]) -> torch.Tensor:
-    return estimate_normals(a["means"], _sheet(), a["fallback"])
+    return estimate_normals(a["means"], sheet(), a["fallback"])
 
 
 NORMALS = (

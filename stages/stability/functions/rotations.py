@@ -65,10 +65,10 @@ ROTATIONS = (
         "slerp", "rotations", "angle on the sphere, rad",
         (0.0, 1e-8, 1e-4, 1e-2, 1.0, math.pi / 2 - 1e-7, 3.0, math.pi - 1e-7), _pairs,
         lambda a: slerp(a["start"], a["end"], a["weights"]),
-        everyday=(0.0, 1.0), tolerance=2e-4, gradients=("start", "end"), gradient_tolerance=2e-2,
+        everyday=(0.0, 1.0), tolerance=1e-5, gradients=("start", "end"), gradient_tolerance=1e-3,
     ),
     Function(
         "z_to", "rotations", "angle from −z, rad", (0.0, 1e-8, 1e-4, 1e-2, 1.0, math.pi), _near_minus_z,
-        lambda a: z_to(a["normals"]), everyday=(1e-2, math.pi), tolerance=2e-2,
+        lambda a: z_to(a["normals"]), everyday=(1e-2, math.pi), tolerance=1e-4,
     ),
 )  # fmt: skip

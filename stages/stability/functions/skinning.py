@@ -133,15 +133,16 @@ SKINNING = (
         everyday=(0.0, 1e6), tolerance=2e-6, gradients=("transforms",), bfloat16=True,
     ),
     Function(
-        "shaped_joints", "shapes", "|β|", _SHAPES, _betas, lambda a: shaped_joints(_body(), a["betas"]),
+        "shaped_joints", "shapes", "size of β", _SHAPES, _betas, lambda a: shaped_joints(_body(), a["betas"]),
         everyday=(0.0, 1e3), tolerance=2e-6, gradients=("betas",),
     ),
     Function(
-        "shaped_vertices", "shapes", "|β|", _SHAPES, _betas, lambda a: shaped_vertices(_body(), a["betas"]),
-        everyday=(0.0, 1e3), tolerance=2e-6, gradients=("betas",), bfloat16=True,
+        "shaped_vertices", "shapes", "size of β", _SHAPES, _betas,
+        lambda a: shaped_vertices(_body(), a["betas"]), everyday=(0.0, 1e3), tolerance=2e-6,
+        gradients=("betas",), bfloat16=True,
     ),
     Function(
-        "posed_vertices", "shapes", "|β|", _SHAPES, _shaped_pose,
+        "posed_vertices", "shapes", "size of β", _SHAPES, _shaped_pose,
         lambda a: posed_vertices(_body(), a["rotations"], a["translation"], a["betas"]),
         everyday=(0.0, 1e3), tolerance=1e-5, gradients=("betas", "rotations"),
     ),

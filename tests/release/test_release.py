@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from stages.doctor.libraries import OPTIONAL
 from stages.shared.meshes.open3d_loader import SYSTEM_LIBRARIES
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -120,6 +121,13 @@ def test_the_metadata_is_whole() -> None:
     for package in ("gw_cli", "stages"):
         assert (REPOSITORY / package / "py.typed").is_file()
     extras = set(project["optional-dependencies"])
+    optional = {
+        re.split(r"[<>=;\[ ]", row)[0]
+        for name, rows in project["optional-dependencies"].items()
+        for row in rows
+        if name != "dev"
+    }
+    assert optional == set(OPTIONAL), "gw doctor looks for what the extras bring"
     said = (REPOSITORY / "docs/dependencies.md").read_text()
     assert all(f"`{extra}`" in said for extra in extras), "every extra says what it is for"
 

@@ -91,6 +91,9 @@ class Console:
                 self._people(f"  {title:6} {row}")
         for name, value in plan.config.items():
             self._people(f"  {name} = {value}")
+        for title, parts in plan.scene.items():
+            for name, value in parts.items():
+                self._people(f"  {title.replace('_', ' ')}: {name}: {_readable(value)}")
         cost = {
             "time": None if plan.seconds is None else f"{plan.seconds:.0f} s",
             "memory": None if plan.memory_bytes is None else f"{plan.memory_bytes / 2**20:.0f} MiB",

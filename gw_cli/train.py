@@ -216,8 +216,15 @@ def register(app: typer.Typer) -> None:
         if not processes.first:
             return
         console.result(
-            {"artifact": result.artifact.path, **result.summary},
+            {"artifact": result.artifact.path, **result.summary}
+            if as_json
+            else {"artifact": result.artifact.path, **_short(result.summary)},
             next_command=f"gw export-garment {subject} --layer body -o body.gwg"
             if method == METHODS[0]
             else f"gw evaluate {subject}",
         )
+
+
+def _short(summary: dict[str, Any]) -> dict[str, Any]:
+    """What people are told; costs and what was left out are in the manifest."""
+    return {name: value for name, value in summary.items() if name not in ("costs", "left_out")}

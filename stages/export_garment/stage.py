@@ -25,6 +25,7 @@ from stages.shared.artifacts import Artifact, Workspace
 from stages.shared.artifacts.bundle import Bundle, write_bundle
 from stages.shared.artifacts.bundle_precision import PRECISIONS, halved
 from stages.shared.avatar.maps import LayerMaps
+from stages.shared.avatar.operations import costs
 from stages.shared.body import BodyModel, Poses
 from stages.shared.capture.labels import LAYERS
 from stages.shared.errors import MissingInput, UsageProblem
@@ -221,5 +222,6 @@ def _manifest(
             "config": source.trained.config,
             "scores": source.trained.summary,
         },
+        "costs": costs(layer.model),
         "note": config.note,
     }

@@ -46,6 +46,7 @@ from stages.train.footage import Footage
 from stages.train.loop import learn
 from stages.train.memory import available_bytes, memory_named, say_if_scarce
 from stages.train.method import settled
+from stages.train.requirements import scene_requirements, what_it_took
 from stages.train.source import Source, open_source
 from stages.train.start import Start
 from stages.train.trainer import Trainer
@@ -143,15 +144,17 @@ def plan(
     _device(config.device)
     workspace = Workspace(subject)
     source = open_source(workspace, config, from_subject)
-    maps = source.layers(config.method).maps
+    maps, chosen = source.layers(config.method).maps, settled(config)
+    body = BodyModel.from_arrays(source.registered.arrays("body.safetensors"))
     given = [str(path) for path in (perceptual_weights, from_subject) if path]
     return Plan(
         inputs=[str(source.registered.path), str(source.baked.path), str(source.capture.root), *given],
         outputs=[f"{workspace.root / TRAIN.name}/<key>/{name}.safetensors" for name in maps],
         config=asdict(config),
-        seconds=cost.seconds(maps, settled(config), _tracked_views(source.footage, settled(config))),
-        memory_bytes=cost.memory_bytes(maps, settled(config)),
-        disk_bytes=cost.disk_bytes(maps, settled(config)),
+        seconds=cost.seconds(maps, chosen, _tracked_views(source.footage, chosen)),
+        memory_bytes=cost.memory_bytes(maps, chosen),
+        disk_bytes=cost.disk_bytes(maps, chosen),
+        scene=scene_requirements(maps, body, source.poses, source.footage.every(config.frame_step), chosen),
     )
 
 
@@ -265,4 +268,5 @@ def _summary(trainer: Trainer, start: Start, state: RunState, progress: Progress
         "steps": state.step,
         "skipped": state.skipped,
         "losses": lines[-1]["losses"] if lines else {},
+        **what_it_took(trainer),
     }

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from stages.shared.artifacts.bundle import BundleCard
+from stages.shared.avatar.components import bytes_by_component
 
 _BYTES = {"F32": 4, "F16": 2, "I32": 4, "U8": 1}
 _SCORES = ("psnr", "psnr_foreground", "ssim", "iou", "miou", "steps", "seconds")
@@ -15,12 +16,15 @@ def describe(card: BundleCard) -> dict[str, Any]:
     """Kind, slots, size, what it was made with and how good it is; plain JSON."""
     manifest = card.manifest
     groups: dict[str, int] = {}
+    model: dict[str, int] = {}
     for name, (dtype, shape) in card.tensors.items():
         size = _BYTES[dtype]
         for side in shape:
             size *= side
-        group = name.split("/")[0]
+        group, _, part = name.partition("/")
         groups[group] = groups.get(group, 0) + size
+        if group == "model":
+            model[part] = size
     scores = manifest["training"].get("scores", {})
     schema = manifest["schema"]
     return {
@@ -31,6 +35,9 @@ def describe(card: BundleCard) -> dict[str, Any]:
         "digest": card.digest,
         "bytes": card.bytes,
         "bytes_by_group": dict(sorted(groups.items())),
+        "multiply_adds_per_frame": _costs(manifest).get("multiply_adds_per_frame", {}),
+        "model_bytes_by_component": bytes_by_component(model),
+        "joints_followed": _costs(manifest).get("joints"),
         "gaussians": card.tensors["maps/texels"][1][0],
         "millimetres_per_texel": round(1000 * manifest["grid"]["pitch"], 3),
         "decoder": manifest["model"].get("kind") or manifest["model"].get("decoder") or "network",
@@ -43,6 +50,12 @@ def describe(card: BundleCard) -> dict[str, Any]:
         "scores": {name: scores[name] for name in _SCORES if isinstance(scores.get(name), int | float)},
         "note": manifest["note"],
     }
+
+
+def _costs(manifest: dict[str, Any]) -> dict[str, Any]:
+    """What the export counted; {} of bundles that are older."""
+    found = manifest.get("costs")
+    return found if isinstance(found, dict) else {}
 
 
 def fit(garment: BundleCard, body: BundleCard) -> str:

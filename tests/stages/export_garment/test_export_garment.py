@@ -16,6 +16,7 @@ from stages.export_garment.config import ExportGarmentConfig
 from stages.pipeline import SEGMENT_LAYERS
 from stages.shared.artifacts import Workspace
 from stages.shared.artifacts.bundle import read_bundle
+from stages.shared.avatar.operations import operations
 from stages.shared.errors import MissingInput, UsageProblem
 from stages.shared.outfit.layer import layer_of_bundle
 from tests.shared.outfit.wardrobe import make_subject, worn
@@ -28,6 +29,7 @@ def test_the_layer_in_the_file_is_the_trained_one(
     path = tmp_path / "lower.gwg"
     stage.run(dressed_subject, path, ExportGarmentConfig(precision=precision, preview_size=16))
     layer = layer_of_bundle(read_bundle(path))
+    assert read_bundle(path).manifest["costs"]["multiply_adds_per_frame"] == operations(layer.model)
     expected = worn("lower")
     assert layer.name == "lower" and layer.slots == ("lower",)
     still = torch.eye(4).expand(55, 4, 4)

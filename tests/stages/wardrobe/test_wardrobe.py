@@ -46,6 +46,7 @@ def test_inspect_says_what_the_file_holds(wardrobe: Path, tmp_path: Path) -> Non
     sizes = {name: array.nbytes for name, array in whole.arrays.items()}
     assert sum(shown["bytes_by_group"].values()) == sum(sizes.values())
     assert shown["bytes_by_group"]["swap"] == sum(n for name, n in sizes.items() if name.startswith("swap/"))
+    assert sum(shown["model_bytes_by_component"].values()) == shown["bytes_by_group"]["model"]
     assert set(shown["tensors"]) == set(sizes)
     picture = cv2.imread(str(tmp_path / "p.png"))[..., ::-1]
     assert np.array_equal(picture, whole.arrays["preview"])

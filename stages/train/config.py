@@ -131,10 +131,10 @@ class TrainConfig:
 _ECONOMY = LossWeights(
     ssim=1.0,
     penetration=50.0,
-    offset=2.0,
-    smooth=0.002,
+    offset=0.005,
+    smooth=0.0005,
     opacity=0.005,
-    seam=0.0005,
+    seam=0.00002,
     flow=10.0,
     covered_skin=0.02,
 )

@@ -106,9 +106,10 @@ def plan(
     if perceptual_weights:
         Perceptual.load(perceptual_weights)
     frames = share.of([frame for views in opened.splits.values() for frame in views])
+    names = (RESULT_NAME, "vertices.json") if opened.meshes else (RESULT_NAME,)
     return Plan(
         inputs=[str(opened.workspace.root), str(opened.capture.root), *true_meshes],
-        outputs=[str(output / RESULT_NAME)],
+        outputs=[str(output / name) for name in names],
         config=asdict(config),
         seconds=0.5 * sum(len(frame.cameras) for frame in frames) * len(config.methods),
         memory_bytes=900_000_000,

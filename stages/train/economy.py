@@ -66,7 +66,11 @@ FRAME_ROWS: dict[str, str] = {
     "frame-one-at-a-time": "one frame after the other, all cores at each",
     "frame-nothing-saved": "none of these",
 }
-ROWS = {**STEP_ROWS, **FRAME_ROWS}
+STILL_ROWS: dict[str, str] = {
+    "still": "all economies, one pose from many sides",
+    "still-anew": "layers that stand still are posed again for every picture",
+}
+ROWS = {**STEP_ROWS, **FRAME_ROWS, **STILL_ROWS}
 ENDS = ("step", "step-nothing-saved", "frame", "frame-nothing-saved")
 """What the summary compares; measured first, in turns."""
 RESULT_NAME, TABLE_NAME = "economy.json", "economy.md"
@@ -102,7 +106,7 @@ def run(
         raise UsageProblem(
             "There is nothing to measure.", "options --steps, --frames and --rounds", "Give more."
         )
-    started, longest = time.monotonic(), {"step": 0.0, "frame": 0.0}
+    started, longest = time.monotonic(), {"step": 0.0, "frame": 0.0, "still": 0.0}
     found: dict[str, list[dict[str, Any]]] = {}
     left_out: list[str] = []
     order = [*ENDS * config.rounds, *(name for name in ROWS if name not in ENDS)]
@@ -215,11 +219,11 @@ def _frame(subject: Path, name: str, train: TrainConfig, config: EconomyConfig) 
         return name in (row, "frame-nothing-saved")
 
     with every_joint() if without("frame-every-joint") else nullcontext():
-        return _timed_frames(outfit, trainer, without, config)
+        return _timed_frames(outfit, trainer, without, config, name)
 
 
 def _timed_frames(
-    outfit: Outfit, trainer: Trainer, without: Callable[[str], bool], config: EconomyConfig
+    outfit: Outfit, trainer: Trainer, without: Callable[[str], bool], config: EconomyConfig, name: str
 ) -> dict[str, Any]:
     poses, shown = trainer.views.poses, _views(trainer, config.frames)
 
@@ -227,21 +231,24 @@ def _timed_frames(
     plain, whole_layers = without("frame-plain"), without("frame-whole-layers")
     threads = 1 if without("frame-one-at-a-time") else torch.get_num_threads()
 
+    still = name in STILL_ROWS  # the pose of the first frame, before the cameras of all
+
     def work(player: Player, view: View) -> Shot:
-        composite = (outfit if plain else player).composite(poses, view.frame)
+        row = shown[0].frame if still else view.frame
+        composite = (outfit if plain else player).composite(poses, row)
         return take_picture(composite, view.camera, PenetrationConfig(), whole_layers=whole_layers)
 
     ahead = 2 * threads  # frames in flight when the clock starts
     items = shown[:1] * ahead + shown * _PASSES
     times, errors = [], []
-    for index, shot in enumerate(side_by_side(outfit, items, work, threads, hidden)):
+    for index, shot in enumerate(side_by_side(outfit, items, work, threads, hidden, name == "still-anew")):
         times.append(time.perf_counter())
         if ahead <= index < ahead + len(shown):
             errors.append(_psnr(shot.color, shown[index - ahead]))
     ends = [times[ahead - 1 + turn * len(shown)] for turn in range(_PASSES + 1)]
     return {
         "seconds": statistics.median(np.diff(ends)) / len(shown),
-        "psnr": float(np.mean(errors)),
+        **({} if still else {"psnr": float(np.mean(errors))}),
         "gaussians": outfit.gaussians - (0 if hidden is None else int(hidden.sum())),
         "threads": torch.get_num_threads(),
     }

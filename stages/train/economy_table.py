@@ -13,7 +13,7 @@ GOAL_PSNR = 0.05
 
 def compared(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Rows with how much slower they are, and how many dB lower, than the first of their part."""
-    first = {name: row for row in rows for name in GOALS if row["row"] == name}
+    first = {row["row"]: row for row in rows if row["row"] == _part(row)}
     found = []
     for row in rows:
         base = first[_part(row)]

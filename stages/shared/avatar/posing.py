@@ -8,7 +8,7 @@ estimated. `pose_layer` is the plain version; the test is their difference.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,7 @@ from stages.shared.avatar.blendshapes import GROUPS, BlendshapeModel, group_chan
 from stages.shared.avatar.deform import shaped_positions
 from stages.shared.avatar.model import LayerModel
 from stages.shared.avatar.pose import FramePose
-from stages.shared.avatar.posing_kernel import BLOCK, pose_texels
+from stages.shared.avatar.posing_kernel import BLOCK, carry_texels, pose_texels
 from stages.shared.avatar.texel_attributes import CHANNELS, MIN_SCALE, TexelAttributes
 from stages.shared.splat.kernels.threads import run_together
 
@@ -37,12 +37,14 @@ class PosedBuffers:
 
     Attributes:
         means: (N, 3) m, world. covariances: (N, 3, 3) m². opacities: (N,). colors: (N, 3) sRGB.
+        painted: not empty once opacities and colours are there that no pose changes.
     """
 
     means: Floats
     covariances: Floats
     opacities: Floats
     colors: Floats
+    painted: list[bool] = field(default_factory=list)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +87,7 @@ class PosedLayer:
         )
         self.base = _chosen(base, rows).contiguous().numpy()
         self.first, self.bones, self.weights = _sparse(_chosen(model.maps.skin_weights, rows).numpy())
+        self._followed = torch.from_numpy(np.unique(self.bones).astype(np.int64))
         self.limits = np.array(
             [
                 config.offset_scale,
@@ -94,6 +97,10 @@ class PosedLayer:
             np.float32,
         )
         self.bounded = config.color == "sigmoid"
+        # No pose changes colours, opacities and form of a layer whose residual is constant: kept once known.
+        self.constant = self._residual is not None and not any(len(b) and b.shape[1] for b in self.bases)
+        self._canonical: tuple[Floats, Floats, Floats] | None = None
+        self._looks: tuple[Floats, Floats] | None = None
         self.replacements = _stacked(replacements, len(model.maps), kept)
 
     def pose(self, pose: FramePose, out: PosedBuffers, motion: Tensor | None = None) -> None:
@@ -103,18 +110,56 @@ class PosedLayer:
             pose: of the frame; its betas are not used. out: overwritten.
             motion: `recent_motion`, None for a still pose or a model without history.
         """
-        model = self.model
-        residual, coefficients = self._residual, torch.zeros(0)
-        if isinstance(model, BlendshapeModel):
+        matrices = np.ascontiguousarray(pose.transforms.numpy()[:, :3, :], dtype=np.float32)
+        if self.constant:
+            self._carry(matrices, out)
+        else:
+            self._pose_all(pose, matrices, out, motion, *(np.zeros((0, k), np.float32) for k in (3, 4, 3)))
+
+    def depends_on(self, pose: FramePose, motion: Tensor | None) -> tuple[Tensor, ...]:
+        """What a pose of this layer is made of: the same numbers, the same Gaussians."""
+        if self.constant:
+            return (pose.transforms[self._followed],)
+        return (pose.transforms, pose.local_transforms, *(() if motion is None else (motion,)))
+
+    def _carry(self, matrices: Floats, out: PosedBuffers) -> None:
+        if self._canonical is None:  # two threads may both find it: the same numbers
+            kept = tuple(np.empty((self.count, k), np.float32) for k in (3, 4, 3))
+            looks = PosedBuffers(
+                np.empty_like(out.means), np.empty_like(out.covariances),
+                np.empty(self.count, np.float32), np.empty((self.count, 3), np.float32),
+            )  # fmt: skip
+            self._pose_all(None, matrices, looks, None, *kept)
+            self._looks, self._canonical = (looks.opacities, looks.colors), kept  # type: ignore[assignment]
+        assert self._canonical is not None and self._looks is not None
+        if not out.painted:
+            out.opacities[:], out.colors[:] = self._looks
+            out.painted.append(True)
+        run_together(
+            carry_texels, *self._canonical, self.first, self.bones, self.weights, matrices,
+            out.means, out.covariances,
+        )  # fmt: skip
+
+    def _pose_all(
+        self,
+        pose: FramePose | None,
+        matrices: Floats,
+        out: PosedBuffers,
+        motion: Tensor | None,
+        *kept: Floats,
+    ) -> None:
+        """The whole of it; `pose` is not needed by a layer that no pose changes."""
+        model, residual, coefficients = self.model, self._residual, torch.zeros(0)
+        if pose is not None and isinstance(model, BlendshapeModel):
             coefficients = model.coefficients(pose.local_transforms, motion)
         if residual is None:
+            assert pose is not None
             residual = _chosen(model.residual(pose.local_transforms, motion=motion), self._rows)
-        matrices = np.ascontiguousarray(pose.transforms.numpy()[:, :3, :], dtype=np.float32)
         run_together(
             pose_texels, residual.numpy(), coefficients.numpy(), *self.bases, _CHANNELS,
             self.base, self.limits, self.bounded, self.rest,
             self.first, self.bones, self.weights, matrices, *self.replacements,
-            out.means, out.covariances, out.opacities, out.colors,
+            out.means, out.covariances, out.opacities, out.colors, *kept,
         )  # fmt: skip
 
 

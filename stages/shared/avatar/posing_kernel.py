@@ -84,20 +84,63 @@ def _add_bases(bases, block, coefficients, first, channels, residual):
     return first + bases.shape[1]
 
 
+@_inlined
+def _carry(
+    n, point, quaternion, scales, first, bones, weights, matrices, matrix, spread, means, covariances
+):  # fmt: skip
+    """Skin one Gaussian: its centre and its covariance."""
+    matrix[:] = 0.0
+    for entry in range(first[n], first[n + 1]):
+        bone, weight = bones[entry], weights[entry]
+        for row in range(3):
+            for column in range(4):
+                matrix[row, column] += weight * matrices[bone, row, column]
+    x, y, z = point[0], point[1], point[2]
+    for row in range(3):
+        means[n, row] = matrix[row, 0] * x + matrix[row, 1] * y + matrix[row, 2] * z + matrix[row, 3]
+    _shape(quaternion, scales, matrix, spread)
+    for row in range(3):
+        for column in range(row, 3):
+            value = np.float32(0.0)
+            for k in range(3):
+                value += spread[row, k] * spread[column, k]
+            covariances[n, row, column] = value
+            covariances[n, column, row] = value
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def carry_texels(
+    turn, points, quaternions, scales, first, bones, weights, matrices, means, covariances
+):  # fmt: skip
+    """What is left of `pose_texels` for a layer that no pose changes: skinning."""
+    count = points.shape[0]
+    matrix, spread = np.empty((3, 4), np.float32), np.empty((3, 3), np.float32)
+    while True:
+        start = take(turn) * BLOCK
+        if start >= count:
+            return
+        for n in range(start, min(start + BLOCK, count)):
+            _carry(
+                n, points[n], quaternions[n], scales[n], first, bones, weights, matrices, matrix, spread,
+                means, covariances,
+            )  # fmt: skip
+
+
 @njit(nogil=True, cache=True, error_model="numpy")
 def pose_texels(
     turn, given, coefficients, offset_bases, color_bases, form_bases, channels,
     base, limits, bounded, rest,
     first, bones, weights, matrices,
     swap_weights, swap_offsets, swap_quaternions, swap_colors, turns, paints,
-    means, covariances, opacities, colors,
+    means, covariances, opacities, colors, points, quaternions, kept_scales,
 ):  # fmt: skip
     """See `PosedLayer.pose`. given: residual (N, 14), to which coefficients times bases are added.
 
     limits: offset scale, least and greatest log scale; bounded: sigmoid colours; turns, paints: whether a
-    replacement has quaternions, colours.
+    replacement has quaternions, colours. points (N, 3), quaternions (N, 4), kept_scales (N, 3): what skinning
+    began with, for `carry_texels`; not kept where they are empty.
     """
-    count = rest.shape[0]
+    count, keeping, point = rest.shape[0], points.shape[0] > 0, np.empty(3, np.float32)
     matrix, spread = np.empty((3, 4), np.float32), np.empty((3, 3), np.float32)
     offset, scales, quaternion = np.empty(3, np.float32), np.empty(3, np.float32), np.empty(4, np.float32)
     residual = np.empty((14, BLOCK), np.float32)
@@ -133,20 +176,23 @@ def pose_texels(
                             colors[n, k] += share * (swap_colors[r, n, k] - colors[n, k])
                     if turns[r]:
                         _turn_towards(quaternion, swap_quaternions[r, n], share)
-            matrix[:] = 0.0
-            for entry in range(first[n], first[n + 1]):
-                bone, weight = bones[entry], weights[entry]
-                for row in range(3):
-                    for column in range(4):
-                        matrix[row, column] += weight * matrices[bone, row, column]
-            x, y, z = rest[n, 0] + offset[0], rest[n, 1] + offset[1], rest[n, 2] + offset[2]
-            for row in range(3):
-                means[n, row] = matrix[row, 0] * x + matrix[row, 1] * y + matrix[row, 2] * z + matrix[row, 3]
-            _shape(quaternion, scales, matrix, spread)
-            for row in range(3):
-                for column in range(row, 3):
-                    value = np.float32(0.0)
-                    for k in range(3):
-                        value += spread[row, k] * spread[column, k]
-                    covariances[n, row, column] = value
-                    covariances[n, column, row] = value
+            for k in range(3):
+                point[k] = rest[n, k] + offset[k]
+                if keeping:
+                    points[n, k], kept_scales[n, k] = point[k], scales[k]
+            if keeping:
+                quaternions[n, :] = quaternion
+            _carry(
+                n,
+                point,
+                quaternion,
+                scales,
+                first,
+                bones,
+                weights,
+                matrices,
+                matrix,
+                spread,
+                means,
+                covariances,
+            )

@@ -30,6 +30,7 @@ def side_by_side(
     work: Callable[[Player, Item], Result],
     threads: int | None = None,
     hidden: NDArray[np.bool_] | None = None,
+    anew: bool = False,
 ) -> Generator[Result, None, None]:
     """`work(player, item)` of every item, in order; each thread has a player, and its kernels one thread.
 
@@ -38,15 +39,15 @@ def side_by_side(
 
     Arguments:
         threads: frames at a time; None for as many as torch would use threads.
-        hidden: as `Player` takes it.
+        hidden, anew: as `Player` takes them.
     """
     count = min(threads or torch.get_num_threads(), max(len(items), 1))
     if count <= 1:
-        player = Player(outfit, hidden=hidden)
+        player = Player(outfit, hidden=hidden, anew=anew)
         yield from (work(player, item) for item in items)
         return
-    first = Player(outfit, hidden=hidden)
-    spare = [first, *(Player(outfit, twin=first) for _ in range(count - 1))]
+    first = Player(outfit, hidden=hidden, anew=anew)
+    spare = [first, *(Player(outfit, twin=first, anew=anew) for _ in range(count - 1))]
     own = threading.local()
 
     def task(item: Item) -> Result:

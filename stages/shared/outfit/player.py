@@ -27,12 +27,20 @@ class Player:
         outfit: what is worn. twin: another player of it, to share what was prepared; buffers are each
             one's own, so that two threads can play two frames.
         hidden: (N,) texels of the body that are left out (`plan_hidden`); a twin's are its twin's.
+        anew: pose every layer in every frame, also one that stands as it stood (for measuring).
+
+    Attributes:
+        posed_layers: how many layers were posed so far; layers that stand still are not.
     """
 
     def __init__(
-        self, outfit: Outfit, twin: Player | None = None, hidden: NDArray[np.bool_] | None = None
+        self,
+        outfit: Outfit,
+        twin: Player | None = None,
+        hidden: NDArray[np.bool_] | None = None,
+        anew: bool = False,
     ) -> None:
-        self.outfit = outfit
+        self.outfit, self.anew, self.posed_layers = outfit, anew, 0
         # Push-out needs normals, and baselines bring labels of their own: these take the plain way.
         self.plain = bool(outfit.pushes) or any(layer.layer_ids is not None for layer in outfit.layers)
         self._bones: tuple[Poses, int, FramePose] | None = None
@@ -64,6 +72,7 @@ class Player:
             layer_ids=torch.from_numpy(ids),
             layers=names,
         )
+        self._standing: list[tuple[Tensor, ...] | None] = [None] * len(counts)  # what the buffers show
         self._parts = []
         for first, count in zip(np.cumsum([0, *counts[:-1]]), counts, strict=True):
             own = slice(first, first + count)
@@ -75,9 +84,14 @@ class Player:
         if self.plain:
             return self.outfit.composite(poses, frame)
         pose = self._posed_bones(poses, frame)
-        for posed, out in zip(self._layers, self._parts, strict=True):
+        for place, (posed, out) in enumerate(zip(self._layers, self._parts, strict=True)):
             motion = self._motions[posed.history][frame % _MOMENTS] if posed.history else None
-            posed.pose(pose, out, motion)
+            asked = posed.depends_on(pose, motion)
+            if self.anew or not _same(self._standing[place], asked):
+                self._standing[place] = None  # until the buffers are whole
+                posed.pose(pose, out, motion)
+                self._standing[place] = tuple(part.clone() for part in asked)
+                self.posed_layers += 1
         return self._composite
 
     def _posed_bones(self, poses: Poses, frame: int) -> FramePose:
@@ -93,6 +107,14 @@ class Player:
             self._motions = {history: recent_motions(poses, block_rows, history) for history in histories}
         block = self._bones[2]
         return FramePose(block.transforms[frame - first], block.local_transforms[frame - first], block.betas)
+
+
+def _same(before: tuple[Tensor, ...] | None, now: tuple[Tensor, ...]) -> bool:
+    return (
+        before is not None
+        and len(before) == len(now)
+        and all(torch.equal(one, other) for one, other in zip(before, now, strict=True))
+    )
 
 
 def _changes(outfit: Outfit) -> tuple[Replacement, ...]:

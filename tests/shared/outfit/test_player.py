@@ -13,6 +13,7 @@ from stages.shared.avatar.model import LayerModel
 from stages.shared.avatar.motion import recent_motion
 from stages.shared.avatar.pose import frame_pose
 from stages.shared.body import Poses
+from stages.shared.outfit.layer import WornLayer
 from stages.shared.outfit.outfit import Outfit, outfit_of_bundles
 from stages.shared.outfit.player import Player
 from tests.shared.outfit.wardrobe import bundle, motion, worn
@@ -70,3 +71,46 @@ def test_recent_motion_is_played() -> None:
 
 def _moment(poses: Poses, row: int) -> tuple[torch.Tensor, ...]:
     return tuple(torch.from_numpy(a) for a in (poses.rotations[row], poses.translation[row], poses.betas))
+
+
+def _gaussians(player: Player, poses: Poses, row: int) -> list[torch.Tensor]:
+    found = player.composite(poses, row)
+    return [getattr(found, name).clone() for name in ("means", "covariances", "opacities", "features")]
+
+
+def test_layers_that_stand_still_are_not_posed_again() -> None:
+    """The same Gaussians as posing anew, in a motion that stops, goes on and comes back."""
+    outfit, poses = outfit_of_bundles(NAMED), motion(5)[[0, 0, 2, 2, 0, 4]]
+    lazy, busy = Player(outfit), Player(outfit, anew=True)
+    for row in range(len(poses)):
+        for one, other in zip(_gaussians(lazy, poses, row), _gaussians(busy, poses, row), strict=True):
+            assert torch.equal(one, other), row
+    assert busy.posed_layers == 6 * 3 and lazy.posed_layers == 4 * 3
+
+
+def test_a_layer_stays_where_only_joints_move_that_it_does_not_follow() -> None:
+    """Body without networks: nothing but its own bones moves it. The tubes follow pelvis and spine."""
+    config = ModelConfig(networks="none", width=0.0625, depth=2, style=8, factor=4)
+    dressed = outfit_of_bundles(NAMED[:2])
+    plain = [replace(layer, model=_without_networks(layer, config)) for layer in dressed.layers]
+    outfit = replace(dressed, layers=tuple(plain), swaps=())
+    poses = motion(3)[[1, 1, 1]]
+    poses.rotations[1, 16] = 0.7  # left shoulder
+    poses.rotations[2, 3] += 0.2
+    player = Player(outfit)
+    counts = []
+    for row in range(3):
+        played, wanted = player.composite(poses, row), outfit.composite(poses, row)
+        assert torch.allclose(played.means, wanted.means, atol=5e-6)
+        assert torch.allclose(played.covariances, wanted.covariances, atol=1e-7)
+        assert torch.allclose(played.features, wanted.features, atol=1e-6)
+        assert torch.allclose(played.opacities, wanted.opacities, atol=1e-6)
+        counts.append(player.posed_layers)
+    assert counts == [2, 2, 4]
+
+
+def _without_networks(layer: WornLayer, config: ModelConfig) -> LayerModel:
+    model = LayerModel(layer.maps, config)
+    for name in ("offset", "quaternion", "opacity", "scale", "color"):
+        getattr(model, f"base_{name}").data.copy_(getattr(layer.model, f"base_{name}"))
+    return model.requires_grad_(False)

@@ -15,7 +15,7 @@ CAPTURE ?=
 SUBJECT ?=
 STAGE_FLAGS ?=
 
-.PHONY: help setup demo test test-long check docs release-check format subject register-template canonicalize segment-layers bake-maps train evaluate status clean
+.PHONY: help setup demo test test-long check audit docs release-check format subject register-template canonicalize segment-layers bake-maps train evaluate status clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 20
@@ -40,6 +40,9 @@ check: $(READY) ## format, lint, types
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/mypy
+
+audit: $(READY) ## ask the network for known findings in what is locked (needs pip-audit)
+	$(VENV)/bin/python -m pip_audit --disable-pip --require-hashes -r requirements.lock
 
 docs: $(READY) ## make the generated pages of docs/ again
 	$(VENV)/bin/python -m gw_cli.reference docs/commands.md

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from gw_cli.console import Console, command
-from gw_cli.options import Device, DryRun, Json, Preset, Seed
+from gw_cli.options import Device, DryRun, Json, Preset, Seed, preset_config
 
 
 def register(app: typer.Typer) -> None:
@@ -19,7 +19,8 @@ def register(app: typer.Typer) -> None:
         output: Annotated[Path, typer.Option("-o", "--output", help="Folder of the demo.")] = Path("demo"),
         preset: Preset = "draft",
         minutes: Annotated[
-            float | None, typer.Option(help="Training minutes per subject; draft takes 4.5 when absent.")
+            float | None,
+            typer.Option(min=0.01, help="Training minutes per subject; draft takes 4.5 when absent."),
         ] = None,
         seed: Seed = 0,
         device: Device = "auto",
@@ -34,8 +35,12 @@ def register(app: typer.Typer) -> None:
         """
         from stages.demo import stage
         from stages.demo.config import DemoConfig
+        from stages.shared.device import check_device
+        from stages.synth.config import PRESETS
 
         console = Console(as_json)
+        preset_config(PRESETS, preset)
+        check_device(device)
         config = DemoConfig(preset=preset, seed=seed, train_minutes=minutes, device=device)
         if dry_run:
             console.plan(stage.plan(output, config))

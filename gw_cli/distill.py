@@ -43,7 +43,7 @@ def register(app: typer.Typer) -> None:
         if ranks:
             config = replace(config, most=parse_ranks(ranks))
         if dry_run:
-            console.plan(stage.plan(subject, config))
+            console.plan(stage.plan(subject, config, poses or ()))
             return
         result = stage.run(subject, config, console, force, tuple(poses or ()))
         following = f"gw export-garment {subject} --layer body --distilled -o body.gwg"

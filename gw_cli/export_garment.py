@@ -65,17 +65,27 @@ def register(app: typer.Typer) -> None:
         """
         from stages.export_garment import stage, template_mesh
         from stages.export_garment.config import PRESETS, TemplateMeshConfig
+        from stages.shared.errors import UsageProblem
 
         console = Console(as_json)
+        if poses is not None and mesh is None:
+            raise UsageProblem(
+                "A bundle carries no motion.",
+                "option --poses",
+                "Leave it out, or add --mesh FILE.glb.",
+            )
         if mesh is not None:
             shape = TemplateMeshConfig(layer, own_shape)
             if dry_run:
-                console.plan(template_mesh.plan(subject, mesh, shape))
-                return
-            made = template_mesh.run(subject, mesh, shape, poses, console)
-            if output is None:
-                console.result(made)
-                return
+                planned = template_mesh.plan(subject, mesh, shape, poses)
+                if output is None:
+                    console.plan(planned)
+                    return
+            else:
+                made = template_mesh.run(subject, mesh, shape, poses, console)
+                if output is None:
+                    console.result(made)
+                    return
         config = replace(
             preset_config(PRESETS, preset),
             layer=layer,

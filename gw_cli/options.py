@@ -30,7 +30,7 @@ Preset = Annotated[
         help="tiny | draft | balanced | paper: how much to spend.", autocompletion=completion.presets
     ),
 ]
-Seed = Annotated[int, typer.Option(help="Seed of everything random.")]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of everything random.")]
 Device = Annotated[str, typer.Option(help="auto | cpu | cuda.", autocompletion=completion.devices)]
 Force = Annotated[bool, typer.Option("--force", help="Do it again though it is up to date.")]
 

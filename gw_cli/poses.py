@@ -56,8 +56,10 @@ def register(app: typer.Typer) -> None:
         from stages.shared.plan import Plan
         from stages.shared.poses.convert import amass_corrected, with_hands
         from stages.shared.poses.read import load_poses
+        from stages.shared.targets import check_file_target
 
         console = Console(as_json)
+        check_file_target(output, "-o walk.npz")
         body = load_body(body_model) if body_model else embedded_body()
         motion = load_poses(source, body, fps or None, up)
         motion = with_hands(amass_corrected(motion) if correct_amass else motion, hands, body)

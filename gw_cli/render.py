@@ -37,6 +37,7 @@ from gw_cli.options import (
 )
 from stages.shared.errors import UsageProblem
 from stages.shared.splat.settings import ALPHA_MIN, TRANSMITTANCE_MIN
+from stages.shared.targets import check_file_target
 
 
 def register(app: typer.Typer) -> None:
@@ -155,6 +156,8 @@ def register(app: typer.Typer) -> None:
             alpha_min=alpha_min,
             transmittance_min=transmittance_min,
         )
+        if html is not None:
+            check_file_target(html, "--html a.html")
         if html is not None and output is None:
             if shard:
                 raise UsageProblem(
@@ -167,6 +170,8 @@ def register(app: typer.Typer) -> None:
             return
         target = output or Path("render")
         if dry_run:
+            if html is not None:
+                page.plan(sources, poses, cameras, html, config)
             console.plan(stage.plan(sources, poses, cameras, target, config))
             return
         result = stage.run(sources, poses, cameras, target, config, console)

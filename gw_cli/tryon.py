@@ -37,6 +37,7 @@ from gw_cli.options import (
 )
 from stages.shared.errors import UsageProblem
 from stages.shared.splat.settings import ALPHA_MIN, TRANSMITTANCE_MIN
+from stages.shared.targets import check_file_target
 
 
 def register(app: typer.Typer) -> None:
@@ -151,6 +152,8 @@ def register(app: typer.Typer) -> None:
             alpha_min=alpha_min,
             transmittance_min=transmittance_min,
         )
+        if save_outfit is not None:
+            check_file_target(save_outfit, "--save-outfit outfit.json")
         if dry_run:
             console.plan(stage.plan(bundles, poses, output, config))
             return

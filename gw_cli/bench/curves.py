@@ -78,6 +78,8 @@ def register(bench: typer.Typer) -> None:
         if dry_run:
             from stages.shared.plan import Plan
 
+            _checked(subject, folder, configs, views)
+
             files = [str(folder / name) for name in (*_FILES, *(_ABLATION_FILES if without else ()))]
             config = {"runs": list(configs), "minutes": minutes, "points": points}
             console.plan(Plan([str(subject)], files, config, seconds=60.0 * minutes * len(configs)))
@@ -101,15 +103,10 @@ def _run(
     subject: Path, folder: Path, runs: dict[str, Any], config: Any, points: int, console: Console
 ) -> None:
     """Train and score every run that is not done, then draw."""
-    from stages.evaluate.curves import CurveFile, CurveViews
-    from stages.evaluate.stage import check_config
+    from stages.evaluate.curves import CurveFile
     from stages.shared.artifacts.files import make_folders
-    from stages.train.method import settled
 
-    check_config(config)
-    for run in runs.values():
-        settled(run)
-    views = CurveViews.of(subject, config)
+    views = _checked(subject, folder, runs, config)
     make_folders(folder)
     scored = f"{config.splits} {config.frame_step} {config.test_frame_step} {config.cameras}"
     curves = CurveFile(folder / "curves.jsonl", scored)
@@ -126,6 +123,23 @@ def _run(
     last = {name: curves.of(name)[-1] for name in shown}
     counts = {name: len(curves.of(name)) for name in shown}
     console.result({"path": folder, "last": last, "points": counts, "without_picture": missing})
+
+
+def _checked(subject: Path, folder: Path, runs: dict[str, Any], config: Any) -> CurveViews:
+    """The views that are scored; refuses what can be known before anything is trained."""
+    from stages.evaluate.curves import CurveViews
+    from stages.evaluate.stage import check_config
+    from stages.pipeline import BAKE_MAPS
+    from stages.shared.artifacts import Workspace
+    from stages.shared.targets import check_folder_target
+    from stages.train.method import settled
+
+    check_config(config)
+    for run in runs.values():
+        settled(run)
+    check_folder_target(folder)
+    Workspace(subject).require(BAKE_MAPS)
+    return CurveViews.of(subject, config)
 
 
 def _train(

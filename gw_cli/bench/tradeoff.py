@@ -10,7 +10,7 @@ import typer
 
 from gw_cli.completion import PRESETS
 from gw_cli.console import Console, command
-from gw_cli.options import DryRun, Json, Preset, Seed, names
+from gw_cli.options import DryRun, Json, Preset, Seed, names, preset_config
 from stages.shared.errors import UsageProblem
 
 if TYPE_CHECKING:
@@ -60,6 +60,7 @@ def register(bench: typer.Typer) -> None:
         """
         from stages.bench_tradeoff import stage
         from stages.bench_tradeoff.config import TRAINED_BLENDSHAPES, BenchTradeoffConfig
+        from stages.train.config import PRESETS
 
         console = Console(as_json)
         config = BenchTradeoffConfig(minutes=minutes, preset=preset, size=size, seed=seed)
@@ -69,8 +70,9 @@ def register(bench: typer.Typer) -> None:
             config = replace(config, decoders=(*config.decoders, TRAINED_BLENDSHAPES))
         if also:
             config = replace(config, also=_trainings(also))
+        preset_config(PRESETS, preset)
         if dry_run:
-            console.plan(stage.plan(capture, output, config))
+            console.plan(stage.plan(capture, output, config, body_model))
             return
         result = stage.run(capture, output, config, console, body_model)
         console.result({"path": result.path, **result.summary})

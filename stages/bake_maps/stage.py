@@ -113,6 +113,7 @@ def run(
 def plan(subject: Path, config: BakeMapsConfig = BakeMapsConfig()) -> Plan:
     """What `run` would read, write and cost."""
     workspace = Workspace(subject)
+    workspace.require(REGISTER_TEMPLATE)
     canonical, segmented = workspace.require(CANONICALIZE), workspace.require(SEGMENT_LAYERS)
     texels = int(2.0 / config.pitch**2)  # two views of about one square metre each
     return Plan(

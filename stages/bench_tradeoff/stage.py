@@ -27,6 +27,7 @@ from stages.shared.commands import run_command
 from stages.shared.errors import BadData, MissingInput, UsageProblem
 from stages.shared.plan import Plan
 from stages.shared.report import SILENT, Report
+from stages.shared.targets import check_folder_target
 
 RESULT_NAME = "tradeoff.json"
 _NO_LIMIT = 1_000_000  # steps; the minutes end a training
@@ -53,13 +54,11 @@ def run(
     Raises:
         UsageProblem: nothing to measure. CommandFailed: a command failed.
     """
-    if not config.pitches or not config.decoders or config.minutes <= 0:
-        raise UsageProblem("There is nothing to measure.", "options", "Give minutes and pitches.")
+    _check(output, config)
     capture, output = capture.resolve(), output.resolve()
     subject = output / "subject"
     report.step("template")
-    given: list[str | Path] = ["--body-model", body_model.resolve()] if body_model else []
-    run_command("register-template", capture, "-o", subject, *given)
+    run_command(*_registration(capture, subject, body_model))
     for command in ("canonicalize", "segment-layers"):
         run_command(command, subject, "--preset", config.preset)
     points: list[OperatingPoint] = []
@@ -79,8 +78,16 @@ def run(
     return BenchTradeoffResult(output, json.loads((output / RESULT_NAME).read_bytes()))
 
 
-def plan(capture: Path, output: Path, config: BenchTradeoffConfig = BenchTradeoffConfig()) -> Plan:
+def plan(
+    capture: Path,
+    output: Path,
+    config: BenchTradeoffConfig = BenchTradeoffConfig(),
+    body_model: Path | None = None,
+) -> Plan:
     """What `run` would cost; the measuring of a point is taken as a minute."""
+    _check(output, config)
+    subject = output.resolve() / "subject"
+    run_command(*_registration(capture.resolve(), subject, body_model), "--dry-run")
     points = len(config.pitches) * len(config.decoders) + len(config.also)
     minutes = config.minutes + sum(training.minutes for training in config.also)
     return Plan(
@@ -91,6 +98,19 @@ def plan(capture: Path, output: Path, config: BenchTradeoffConfig = BenchTradeof
         memory_bytes=2_000_000_000,
         disk_bytes=points * 60_000_000,
     )
+
+
+def _check(output: Path, config: BenchTradeoffConfig) -> None:
+    """Raise UsageProblem for what cannot be measured, and where its folder cannot be."""
+    if not config.pitches or not config.decoders or config.minutes <= 0 or min(config.pitches) <= 0:
+        raise UsageProblem("There is nothing to measure.", "options", "Give minutes and pitches.")
+    check_folder_target(output)
+
+
+def _registration(capture: Path, subject: Path, body_model: Path | None) -> list[str | Path]:
+    """The command that everything begins with."""
+    given: list[str | Path] = ["--body-model", body_model.resolve()] if body_model else []
+    return ["register-template", capture, "-o", subject, *given]
 
 
 def read_points(folder: Path) -> list[OperatingPoint]:

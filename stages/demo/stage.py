@@ -24,6 +24,7 @@ from stages.shared.artifacts.files import make_folders
 from stages.shared.commands import run_command
 from stages.shared.plan import Plan
 from stages.shared.report import SILENT, Report
+from stages.shared.targets import check_folder_target
 
 # Fields of a result that tell about this run and not about what it made.
 _PASSING = ("seconds", "peak_bytes", "reused")
@@ -39,6 +40,7 @@ class DemoResult:
 
 def plan(folder: Path, config: DemoConfig) -> Plan:
     """The commands that `run` would run."""
+    check_folder_target(folder)
     return Plan(
         inputs=["nothing"],
         outputs=[str(folder / output) for step in steps(config) for output in step.outputs],
@@ -52,6 +54,7 @@ def run(folder: Path, config: DemoConfig = DemoConfig(), report: Report = SILENT
     Raises:
         CommandFailed: with the exit code of the command that failed.
     """
+    check_folder_target(folder)
     make_folders(folder)
     known = _read_known(folder)
     chain = steps(config)

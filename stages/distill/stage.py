@@ -46,6 +46,8 @@ def run(
     """
     workspace = Workspace(subject)
     registered, baked, trained = (workspace.require(spec) for spec in (REGISTER_TEMPLATE, BAKE_MAPS, TRAIN))
+    body = BodyModel.from_arrays(registered.arrays("body.safetensors"))
+    given = [load_poses(path, body) for path in motions]
     inputs: dict[str, Artifact | ExternalFiles] = {
         "register-template": registered,
         "bake-maps": baked,
@@ -57,9 +59,8 @@ def run(
     if found is not None:
         report.say("up to date")
         return StageResult(found, found.summary)
-    body = BodyModel.from_arrays(registered.arrays("body.safetensors"))
     training = load_poses(registered.file("smpl_params.npz"), body)
-    samples = sample_poses(body, training, [load_poses(path, body) for path in motions], config)
+    samples = sample_poses(body, training, given, config)
     summary: dict[str, Any] = {"poses": len(samples.poses)}
     with workspace.build(DISTILL, config, inputs, force=force) as build:
         layers = {}
@@ -77,15 +78,18 @@ def run(
     return StageResult(build.artifact, build.artifact.summary)
 
 
-def plan(subject: Path, config: DistillConfig = DistillConfig()) -> Plan:
+def plan(subject: Path, config: DistillConfig = DistillConfig(), motions: Sequence[Path] = ()) -> Plan:
     """What `run` would read, write and cost."""
     workspace = Workspace(subject)
     registered, baked, trained = (workspace.require(spec) for spec in (REGISTER_TEMPLATE, BAKE_MAPS, TRAIN))
+    body = BodyModel.from_arrays(registered.arrays("body.safetensors"))
+    for path in motions:
+        load_poses(path, body)
     texels = baked.summary["texels"]
     poses = config.training_poses + config.blended_poses
     numbers = 70 + sum(width * most for width, most in zip((3, 3, 8), config.most, strict=True))
     return Plan(
-        inputs=[str(part.path) for part in (registered, baked, trained)],
+        inputs=[*(str(part.path) for part in (registered, baked, trained)), *map(str, motions)],
         outputs=[f"{workspace.root / DISTILL.name}/<key>/{name}.safetensors" for name in texels],
         config=asdict(config),
         seconds=5.0 + 3e-6 * poses * sum(texels.values()),

@@ -34,6 +34,7 @@ from stages.shared.outfit.rebind import canonical_joints
 from stages.shared.plan import Plan
 from stages.shared.poses.read import load_poses
 from stages.shared.report import SILENT, Report
+from stages.shared.targets import check_file_target
 
 _UNITS = {"length": "metre", "angle": "radian", "color": "sRGB 0..1"}
 _FRAMES = {
@@ -83,14 +84,8 @@ def run(
         StorageFailure: disk full; nothing half-written is left.
     """
     config = replace(config, slots=checked_slots(config) if config.slots else own_slots(subject, config))
-    source = _open(subject, config.distilled)
+    source = _open_layer(subject, output, config)
     names = _layers(source)
-    if config.layer not in names:
-        raise MissingInput(
-            f"This subject has no layer {config.layer!r}.",
-            str(subject),
-            "Choose one of: " + ", ".join(names) + "." if names else "Train it in layers: gw train.",
-        )
     report.step(f"exporting {config.layer}")
     body = BodyModel.from_arrays(source.registered.arrays("body.safetensors"))
     poses = load_poses(source.registered.file("smpl_params.npz"), body)
@@ -117,8 +112,8 @@ def run(
 
 def plan(subject: Path, output: Path, config: ExportGarmentConfig = ExportGarmentConfig()) -> Plan:
     """What `run` would read, write and cost."""
-    source = _open(subject, config.distilled)
     checked_slots(config)
+    source = _open_layer(subject, output, config)
     texels = int(source.baked.summary["texels"].get(config.layer, 0))
     return Plan(
         inputs=[str(part.path) for part in (source.registered, source.baked, source.trained)],
@@ -128,6 +123,20 @@ def plan(subject: Path, output: Path, config: ExportGarmentConfig = ExportGarmen
         memory_bytes=400_000_000 + 2000 * texels,
         disk_bytes=500 * texels + (9_000_000 if config.layer == "body" else 1_000_000),
     )
+
+
+def _open_layer(subject: Path, output: Path, config: ExportGarmentConfig) -> _Source:
+    """The artifacts of a subject that has the layer, for a file that can be written."""
+    check_file_target(output, f"-o {config.layer}.gwg")
+    source = _open(subject, config.distilled)
+    names = _layers(source)
+    if config.layer not in names:
+        raise MissingInput(
+            f"This subject has no layer {config.layer!r}.",
+            str(subject),
+            "Choose one of: " + ", ".join(names) + "." if names else "Train it in layers: gw train.",
+        )
+    return source
 
 
 def own_slots(subject: Path, config: ExportGarmentConfig) -> tuple[str, ...]:

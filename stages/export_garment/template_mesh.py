@@ -25,6 +25,7 @@ from stages.shared.export.skinned_mesh import SkinnedMesh, write_skinned_glb
 from stages.shared.plan import Plan
 from stages.shared.poses.read import load_poses
 from stages.shared.report import SILENT, Report
+from stages.shared.targets import check_file_target
 
 _ARRAYS = ("vertices", "faces", "skin_weights", "shape_directions", "colors")
 
@@ -71,9 +72,16 @@ def run(
     }
 
 
-def plan(subject: Path, output: Path, config: TemplateMeshConfig = TemplateMeshConfig()) -> Plan:
+def plan(
+    subject: Path,
+    output: Path,
+    config: TemplateMeshConfig = TemplateMeshConfig(),
+    poses: Path | None = None,
+) -> Plan:
     """What `run` would read, write and cost."""
     registered, segmented = _open(subject, output, config)
+    if poses is not None:
+        load_poses(poses, BodyModel.from_arrays(registered.arrays("body.safetensors")))
     size = segmented.file(f"{config.layer}.safetensors").stat().st_size
     return Plan(
         inputs=[str(registered.path), str(segmented.path)],
@@ -88,6 +96,7 @@ def plan(subject: Path, output: Path, config: TemplateMeshConfig = TemplateMeshC
 def _open(subject: Path, output: Path, config: TemplateMeshConfig) -> tuple[Artifact, Artifact]:
     if output.suffix != ".glb":
         raise UsageProblem("The mesh is written as .glb.", str(output), "Name it so, as --mesh skirt.glb.")
+    check_file_target(output, "--mesh skirt.glb")
     workspace = Workspace(subject)
     registered, segmented = workspace.require(REGISTER_TEMPLATE), workspace.require(SEGMENT_LAYERS)
     names = segmented.summary["layers"]

@@ -17,6 +17,7 @@ from stages.shared.body.convert import convert_poses
 from stages.shared.capture import Capture, Take, open_capture
 from stages.shared.capture.open_capture import with_poses
 from stages.shared.errors import MissingInput, UsageProblem
+from stages.shared.meshes.load import check_mesh_file
 from stages.shared.meshes.mesh import Mesh
 
 
@@ -131,6 +132,7 @@ def mesh_source(
             "option --template",
             "Leave --template out.",
         )
+    check_mesh_file(path)
     inputs = {"mesh": ExternalFiles("mesh", path.parent, [path])}
     if params is not None:
         inputs["params"] = ExternalFiles("params", params.parent, [params])

@@ -34,15 +34,17 @@ from stages.register_template.sources import (
     capture_source,
     mesh_source,
 )
-from stages.register_template.virtual_capture import virtual_capture
+from stages.register_template.virtual_capture import takes_with_scans, virtual_capture
 from stages.shared.artifacts import Workspace
 from stages.shared.artifacts.build import Build
 from stages.shared.artifacts.result import StageResult
+from stages.shared.capture import Capture
 from stages.shared.capture.subject import remember_capture
 from stages.shared.errors import MissingInput, UsageProblem
 from stages.shared.meshes.picture import two_sided_picture
 from stages.shared.plan import Plan
 from stages.shared.report import SILENT, Report
+from stages.shared.targets import check_folder_target
 
 FITTED = "poses"
 VIRTUAL = "virtual-capture"
@@ -84,6 +86,7 @@ def run(
         given, format = _virtual(given, subject, config, report, body_model, format, force, fit_body_model)
         fit_body_model = None
     source = _source(given, config, body_model, params, format, fit_body_model)
+    check_folder_target(subject)
     settings = {**asdict(config), "body": source.body.digest}
     found = None if force else workspace.find(REGISTER_TEMPLATE, settings, source.inputs)
     if found:
@@ -114,7 +117,10 @@ def plan(
     fit_body_model: Path | None = None,
 ) -> Plan:
     """What `run` would read, write and cost."""
+    if config.virtual_cameras:
+        takes_with_scans(_with_scans(given, config, body_model, format, fit_body_model))
     source = _source(given, config, body_model, params, format, fit_body_model)
+    check_folder_target(subject)
     hull = source.template == "hull"
     nodes = 0.6 / config.hull_pitch_m**3
     return Plan(
@@ -139,14 +145,27 @@ def _virtual(
     fit_body_model: Path | None,
 ) -> tuple[Path, str]:
     """Render the capture's scans into `SUBJECT/virtual-capture`; give its path and layout."""
+    capture = _with_scans(given, config, body_model, format, fit_body_model)
+    check_folder_target(subject)
+    folder = Path(subject) / VIRTUAL
+    return virtual_capture(capture, folder, config.virtual_cameras, report, force=force), "native"
+
+
+def _with_scans(
+    given: Path,
+    config: RegisterTemplateConfig,
+    body_model: Path | None,
+    format: str | None,
+    fit_body_model: Path | None,
+) -> Capture:
+    """The capture whose scans virtual cameras are put around."""
     if not Path(given).is_dir():
         raise UsageProblem(
             "Virtual cameras are put around the scans of a capture.", str(given), "Give a capture."
         )
     source = capture_source(Path(given), config, body_model, format, fit_body_model)
     assert source.capture is not None
-    folder = Path(subject) / VIRTUAL
-    return virtual_capture(source.capture, folder, config.virtual_cameras, report, force=force), "native"
+    return source.capture
 
 
 def _source(

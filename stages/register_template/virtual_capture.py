@@ -39,13 +39,7 @@ def virtual_capture(
     Raises:
         MissingInput: no take has scans.
     """
-    takes = [take for take in capture.takes if take.scans]
-    if not takes:
-        raise MissingInput(
-            "Virtual cameras need a scan of every frame, and the capture has none.",
-            str(capture.root),
-            "Leave --virtual-cameras out, or copy the folder Meshes_pkl.",
-        )
+    takes = takes_with_scans(capture)
     made_of = _made_of(capture, takes, count, size, folder)
     note = folder / _MADE_OF
     if not force and note.is_file() and note.read_bytes() == made_of:
@@ -71,6 +65,18 @@ def virtual_capture(
                 done += 1
                 report.progress(done, total)
     return folder
+
+
+def takes_with_scans(capture: Capture) -> list[Take]:
+    """The takes that have scans; MissingInput where there are none."""
+    takes = [take for take in capture.takes if take.scans]
+    if not takes:
+        raise MissingInput(
+            "Virtual cameras need a scan of every frame, and the capture has none.",
+            str(capture.root),
+            "Leave --virtual-cameras out, or copy the folder Meshes_pkl.",
+        )
+    return takes
 
 
 def _made_of(capture: Capture, takes: list[Take], count: int, size: tuple[int, int], folder: Path) -> bytes:

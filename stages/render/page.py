@@ -22,6 +22,7 @@ from stages.shared.errors import UsageProblem
 from stages.shared.pictures.background import read_background
 from stages.shared.plan import Plan
 from stages.shared.report import SILENT, Report
+from stages.shared.targets import check_file_target
 from stages.shared.web.pack import pack_gaussians
 from stages.shared.web.start import orbit_start, viewer_script
 
@@ -105,10 +106,7 @@ def _open(
 
 def _checked(output: Path, config: RenderConfig) -> str:
     """The background as #rrggbb; white for a transparent one."""
-    if output.is_dir():
-        raise UsageProblem(
-            "A folder is in the place of the page.", str(output), "Name a file, as --html a.html."
-        )
+    check_file_target(output, "--html a.html")
     background = read_background(config.background)
     if background.picture is not None:
         raise UsageProblem(

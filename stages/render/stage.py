@@ -12,6 +12,7 @@ Writes, into the output folder:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -21,6 +22,7 @@ from stages.render.config import RenderConfig
 from stages.render.scene import Scene, open_scene
 from stages.shared.artifacts.canonical import plain, readable_json
 from stages.shared.artifacts.files import write_whole
+from stages.shared.errors import UsageProblem
 from stages.shared.export.splats import check_formats
 from stages.shared.outfit.penetration import TRYON_MARGINS, PenetrationConfig
 from stages.shared.outfit.picture import CutOffs
@@ -104,6 +106,7 @@ def plan(
 ) -> Plan:
     """What `run` would read, write and cost."""
     reel, share = _reel_config(config, sources, cameras_path is not None), parse_share(config.shard)
+    check_output(output, RESULT_NAME, MARK)
     scene = open_scene(sources, poses_path, cameras_path, config)
     frames = share.of(scene.frames)
     cameras = [camera for frame in frames for camera in frame.cameras] if config.pictures else []
@@ -139,6 +142,8 @@ def _described(scene: Scene) -> dict[str, Any]:
 
 def _reel_config(config: RenderConfig, sources: Sequence[Path], from_capture: bool) -> ReelConfig:
     check_passes(config.passes)
+    if not math.isfinite(config.turns):
+        raise UsageProblem("That is no number of turns.", "option --turns", "Give a number, as 1 or -0.5.")
     check_formats(config.exports, "option --export")
     passes = config.passes
     if from_capture and "labels" not in passes:

@@ -10,6 +10,7 @@ World: metres, y up, the floor is y = 0. All poses are at 30 frames/s; every few
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -23,8 +24,10 @@ from numpy.typing import NDArray
 from stages.shared.artifacts.files import write_whole
 from stages.shared.body import Poses, embedded_body
 from stages.shared.capture import native_writer
+from stages.shared.errors import UsageProblem
 from stages.shared.plan import Plan
 from stages.shared.report import SILENT, Report
+from stages.shared.targets import check_folder_target
 from stages.synth import motion
 from stages.synth.bodies import PERSON_1, PERSON_2, Person, ShapedBody, betas_of
 from stages.synth.cloth import cloth_model, stretch_of
@@ -37,6 +40,8 @@ from stages.synth.views import Scene, camera_ring
 
 WORKERS = max(1, min(8, os.cpu_count() or 1))
 TRAIN, HELD_OUT = "train", "held_out"
+CAPTURES = ("subject_1", "subject_2", "tryon_truth")
+SOURCE = "gw synth"  # what a capture says about where it is from
 
 
 @dataclass(frozen=True)
@@ -75,6 +80,7 @@ class Take:
 
 def plan(output: Path, config: SynthConfig = SynthConfig()) -> Plan:
     """What `run` would write and cost."""
+    check_places(output)
     views = (2 * config.train_images + 3 * config.test_images) * (config.cameras + 1)
     rays = views * (config.image_size * config.supersample) ** 2
     frames = 2 * config.train_images * config.train_stride + 3 * config.test_images * config.test_stride
@@ -93,7 +99,12 @@ def plan(output: Path, config: SynthConfig = SynthConfig()) -> Plan:
 
 
 def run(output: Path, config: SynthConfig = SynthConfig(), report: Report = SILENT) -> SynthResult:
-    """Make both captures and the truth of the try-on (see the module's text)."""
+    """Make both captures and the truth of the try-on (see the module's text).
+
+    Raises:
+        UsageProblem: something else stands where the captures go. StorageFailure: disk full, no permission.
+    """
+    check_places(output)
     report.step("cutting garments")
     mean = ShapedBody(embedded_body(), np.zeros(10, dtype=np.float32))
     first, second, swapped = outfits(mean, config)
@@ -110,7 +121,7 @@ def run(output: Path, config: SynthConfig = SynthConfig(), report: Report = SILE
 
     report.step("rendering views")
     captures = {}
-    for capture in ("subject_1", "subject_2", "tryon_truth"):
+    for capture in CAPTURES:
         captures[capture] = output / capture
         own = sorted((take for take in takes if take.capture == capture), key=lambda take: take.name != TRAIN)
         _write_capture(captures[capture], own, config, report)
@@ -119,6 +130,25 @@ def run(output: Path, config: SynthConfig = SynthConfig(), report: Report = SILE
     motion_path = output / "motions" / "held_out.npz"
     write_whole(motion_path, worn.poses.to_npz_bytes())
     return SynthResult(captures, motion_path, _summary(takes, config))
+
+
+def check_places(output: Path) -> None:
+    """Raise UsageProblem where a capture would take the place of something that this command did not make."""
+    check_folder_target(output)
+    for name in CAPTURES:
+        folder = output / name
+        if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
+            continue
+        try:
+            own = json.loads((folder / "capture.json").read_bytes())["about"]["source"] == SOURCE
+        except (OSError, ValueError, KeyError, TypeError):
+            own = False
+        if not own:
+            raise UsageProblem(
+                "Something else than a synthetic capture stands there, which would be lost.",
+                str(folder),
+                "Give a new or an empty folder.",
+            )
 
 
 def outfits(mean: ShapedBody, config: SynthConfig) -> tuple[Outfit, Outfit, Outfit]:
@@ -194,7 +224,7 @@ def _longest_first(job: Job) -> tuple[bool, int]:
 
 def _about(outfit: Outfit, config: SynthConfig) -> dict[str, Any]:
     return {
-        "source": "gw synth",
+        "source": SOURCE,
         "body_model_digest": outfit.body.model.digest,
         "garments": {garment.layer: garment.name for garment in outfit.garments},
         "config": asdict(config),

@@ -31,6 +31,7 @@ from stages.shared.artifacts.result import StageResult
 from stages.shared.avatar.decoder import AvatarModel, new_model
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.body import BodyModel
+from stages.shared.device import check_device
 from stages.shared.errors import UsageProblem
 from stages.shared.losses.perceptual import SMALLEST_SIDE, Perceptual
 from stages.shared.plan import Plan
@@ -144,6 +145,8 @@ def plan(
     _device(config.device)
     workspace = Workspace(subject)
     source = open_source(workspace, config, from_subject)
+    if perceptual_weights:
+        Perceptual.load(perceptual_weights)
     maps, chosen = source.layers(config.method).maps, settled(config)
     body = BodyModel.from_arrays(source.registered.arrays("body.safetensors"))
     given = [str(path) for path in (perceptual_weights, from_subject) if path]
@@ -203,10 +206,7 @@ def _with_digest(config: TrainConfig, perceptual_weights: Path | None) -> TrainC
 
 
 def _device(name: str) -> torch.device:
-    if name not in ("auto", "cpu", "cuda"):
-        raise UsageProblem(f"There is no device {name!r}.", "option --device", "Choose auto, cpu or cuda.")
-    if name == "cuda" and not torch.cuda.is_available():
-        raise UsageProblem("No CUDA device was found.", "option --device", "Use --device cpu.")
+    check_device(name)
     on_gpu = name != "cpu" and torch.cuda.is_available()
     return torch.device("cuda", local_rank()) if on_gpu else torch.device("cpu")
 

@@ -100,9 +100,10 @@ def plan(
     """What `run` would read, write and cost."""
     _reel_config(config)
     share = parse_share(config.shard)
+    check_output(output, RESULT_NAME, MARK)
     outfit = dressed(read_bundles(bundles), config)
     poses = _motion(poses_path, outfit, config)
-    count = len(share.of(parse_frames(config.frames, len(poses))))
+    count = len(share.of(_frames(outfit, poses, config)))
     pixels = config.width * config.height
     return Plan(
         inputs=[*map(str, bundles), str(poses_path)],

@@ -77,6 +77,8 @@ def plan(
     """What `run` would read; it writes nothing."""
     shelf, _ = open_shelf(sources, wardrobe, config)
     outfit = shelf.outfit(shelf.worn, parse_betas(config.betas))
+    for path in poses:
+        load_poses(path, outfit.body_model, config.fps or None)
     extra = [] if wardrobe is None else [wardrobe]
     return Plan(
         inputs=[str(path) for path in (*sources, *extra, *poses)],

@@ -70,11 +70,12 @@ class Trial:
         self.guard = Guard(str(self.folder))
         # Loads what the reader loads lazily, for a good file and for a bad one.
         for data in (self.good, self.good[: len(self.good) // 2], b""):
-            self._read(data)
+            self._read(self.reader.file_of(data))
 
     def one(self, data: bytes) -> None:
         """Read one input."""
-        started = time.perf_counter()
+        data = self.reader.file_of(data)
+        started = time.process_time()
         self.guard.armed = True
         try:
             outcome = self._read(data)
@@ -86,7 +87,7 @@ class Trial:
             raise
         finally:
             self.guard.armed = False
-        self.slowest = max(self.slowest, time.perf_counter() - started)
+        self.slowest = max(self.slowest, time.process_time() - started)
         self.counts["runs"] += 1
         self.counts[outcome] += 1
 
@@ -134,7 +135,7 @@ def guided(trial: Trial, runs: int, seed: int) -> None:
         str(corpus),
         f"-runs={2 * runs}",
         f"-seed={seed + 1}",
-        "-max_len=4096",
+        f"-max_len={len(trial.good) + 4096}",  # or a longer one would be cut, and never be read to its end
         "-verbosity=0",
     ]
     atheris.Setup(words, test_one_input)

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import json
+import struct
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 
-from stages.shared.artifacts.bundle import encode_bundle, read_bundle
+from stages.shared.artifacts.arrays import encode_arrays
+from stages.shared.artifacts.bundle import Bundle, encode_bundle, read_bundle
+from stages.shared.artifacts.canonical import digest
 from stages.shared.artifacts.manifest import Manifest, read_manifest
 from stages.shared.artifacts.pictures import encode_png
 from stages.shared.body.poses import npz_bytes
@@ -22,20 +26,50 @@ from stages.shared.meshes.mesh import Mesh
 from stages.shared.meshes.ply import encode_ply
 from stages.shared.poses.bvh_file import read_bvh_file
 from stages.shared.poses.read import load_poses
-from tests.shared.outfit.wardrobe import bundle, worn
+
+GOLDEN = Path(__file__).parents[1] / "golden"
 
 
 @dataclass(frozen=True)
 class Reader:
-    """A reader: name of the file it is given, good content, and how it is called."""
+    """A reader, and what is fuzzed.
+
+    Attributes:
+        file: name of the file it is given. good: what the fuzzing begins from. read: how it is called.
+        file_of: the file that comes of what was fuzzed; as it is, unless said otherwise.
+    """
 
     file: str
     good: Callable[[], bytes]
     read: Callable[[Path], object]
+    file_of: Callable[[bytes], bytes] = bytes
 
 
 def _bundle() -> bytes:
-    return b"".join(bytes(chunk) for chunk in encode_bundle(bundle(worn("lower"))))
+    return b"".join(bytes(chunk) for chunk in encode_bundle(_small_bundle()))
+
+
+@cache
+def _small_bundle() -> Bundle:
+    return read_bundle(GOLDEN / "garment-f16-1.1.gwg")
+
+
+def _bundle_manifest() -> bytes:
+    """The sealed manifest inside a bundle: text that only the check of its meaning can refuse."""
+    notes = json.loads(_header(_bundle()))["__metadata__"]
+    return str(notes["gwg"]).encode()
+
+
+def _sealed(manifest: bytes) -> bytes:
+    """A bundle with this manifest and the digest that belongs to it."""
+    text = manifest.decode("utf-8", "replace")
+    notes = {"gwg": text, "gwg_sha256": digest(text.encode())}
+    return b"".join(bytes(chunk) for chunk in encode_arrays(_small_bundle().arrays, "sealed", notes))
+
+
+def _header(content: bytes) -> bytes:
+    (length,) = struct.unpack_from("<Q", content)
+    return content[8 : 8 + length]
 
 
 def _manifest() -> bytes:
@@ -97,6 +131,7 @@ def _manifest_folder(path: Path) -> object:
 
 READERS = {
     "bundle": Reader("skirt.gwg", _bundle, read_bundle),
+    "bundle-manifest": Reader("skirt.gwg", _bundle_manifest, read_bundle, _sealed),
     "manifest": Reader("manifest.json", _manifest, _manifest_folder),
     "ply": Reader("scan.ply", _mesh, load_mesh),
     "obj": Reader("scan.obj", lambda: _mesh(text=True), load_mesh),

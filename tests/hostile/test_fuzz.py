@@ -50,7 +50,7 @@ def test_good_files_are_read(name: str, tmp_path: Path) -> None:
     reader = READERS[name]
     folder = tmp_path / "e3b0c44298fc1c149afbf4c8996fb924"
     folder.mkdir()
-    (folder / reader.file).write_bytes(reader.good())
+    (folder / reader.file).write_bytes(reader.file_of(reader.good()))
     try:
         assert reader.read(folder / reader.file) is not None
     except GwError as error:
@@ -71,7 +71,7 @@ def test_what_once_broke_a_reader(path: Path, tmp_path: Path) -> None:
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("name", READERS)
 def test_a_hundred_thousand_guided(name: str, tmp_path: Path) -> None:
-    """Eleven readers: more than a million executions together."""
+    """Twelve readers: more than a million executions together."""
     if importlib.util.find_spec("atheris") is None:
         pytest.skip("atheris is not installed (extra `fuzz`)")
     found = fuzz(name, NIGHTLY_RUNS, tmp_path, "--guided", seconds=3500)

@@ -28,6 +28,20 @@ def load_mesh(path: Path) -> Mesh:
         BadData: another format, damaged, NaN, no faces, more than 20 million vertices.
     """
     path = Path(path)
+    check_mesh_file(path)
+    suffix = path.suffix.lower()
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise StorageFailure(
+            f"Reading failed: {error.strerror}.", str(path), "Check the permissions."
+        ) from error
+    mesh = decode_ply(data, str(path)) if suffix == ".ply" else _decode_with_trimesh(data, suffix[1:], path)
+    return check_mesh(mesh, str(path))
+
+
+def check_mesh_file(path: Path) -> None:
+    """Raise MissingInput or BadData for what is no mesh file that could be read, without reading it."""
     suffix = path.suffix.lower()
     if not path.is_file():
         raise MissingInput("There is no such mesh file.", str(path), "Check the path.")
@@ -37,14 +51,6 @@ def load_mesh(path: Path) -> Mesh:
         )
     if path.stat().st_size > MAX_FILE_BYTES:
         raise BadData("The mesh file is larger than 2 GiB.", str(path), "Simplify the mesh.")
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise StorageFailure(
-            f"Reading failed: {error.strerror}.", str(path), "Check the permissions."
-        ) from error
-    mesh = decode_ply(data, str(path)) if suffix == ".ply" else _decode_with_trimesh(data, suffix[1:], path)
-    return check_mesh(mesh, str(path))
 
 
 def write_ply(path: Path, mesh: Mesh, normals: NDArray[np.float32] | None = None) -> None:

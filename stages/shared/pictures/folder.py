@@ -9,6 +9,7 @@ from pathlib import Path
 
 from stages.shared.artifacts.files import whole_folder
 from stages.shared.errors import UsageProblem
+from stages.shared.targets import check_folder_target
 
 
 @contextlib.contextmanager
@@ -28,6 +29,7 @@ def output_folder(path: Path, result_name: str, mark: str) -> Iterator[Path]:
 
 def check_output(path: Path, result_name: str, mark: str) -> None:
     """Raise UsageProblem unless `path` is absent, empty, or an older output of the same kind."""
+    check_folder_target(path.parent)
     if not path.exists() or (path.is_dir() and not any(path.iterdir())):
         return
     try:

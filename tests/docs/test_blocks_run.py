@@ -119,6 +119,7 @@ def _in_full(page: Path, folder: Path) -> None:
             # How fast this machine plays, and how long a whole preset takes, is not this test's business.
             more += ["--fps", "0.1"] if {"--tradeoff", "--fps"} <= set(words) else []
             more += ["--also", "tiny:0.1"] if "--also" in words else []
+            more += ["--frames", ""] if "--cameras" in words and name_of(words) == "render" else []  # its own
             run([*words, *more])
 
 

@@ -89,6 +89,7 @@ class TrainConfig:
         rate_end: learning rates end (cosine) at this share of their start.
         clip: ceiling of the global gradient norm; 0 for none.
         label_kind: "l1" or "l2". penetration_margin: ε, m.
+        penetration_every: a step looks for penetration at every so many-th Gaussian, others at the next.
         perceptual_side: px, side of the square crops that LPIPS sees. perceptual_digest: SHA-256 of the file
             of perceptual weights, empty for none; the stage fills it in.
         weights, rates, track, model: see there.
@@ -115,6 +116,7 @@ class TrainConfig:
     clip: float = 1.0
     label_kind: str = "l1"
     penetration_margin: float = 0.005
+    penetration_every: int = field(default=1, metadata={"said_if_set": True})
     perceptual_side: int = 512
     perceptual_digest: str = ""
     weights: LossWeights = field(default_factory=LossWeights)
@@ -140,6 +142,7 @@ _ECONOMY = LossWeights(
 )
 _TRACKED = TrackConfig(frame_step=1, collision=3.0)
 DRAFT = TrainConfig(
+    penetration_every=4,
     perceptual_side=128,
     weights=_ECONOMY,
     rates=LearningRates(anchors=4e-4, offset=5e-5),

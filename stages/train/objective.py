@@ -178,9 +178,17 @@ class Surfaces:
 
 
 def surface_terms(
-    posed: dict[str, PosedGaussians], surfaces: Surfaces, weights: LossWeights, margin: float
+    posed: dict[str, PosedGaussians],
+    surfaces: Surfaces,
+    weights: LossWeights,
+    margin: float,
+    every: int = 1,
+    phase: int = 0,
 ) -> dict[str, Tensor]:
-    """Unweighted surface terms, summed over layers (or pairs of layers); only those with a weight."""
+    """Unweighted surface terms, summed over layers (or pairs of layers); only those with a weight.
+
+    `margin` (m), `every` and `phase` are those of `penetration_loss`.
+    """
     terms: dict[str, Tensor] = {}
     maps = surfaces.maps
     if weights.offset > 0:
@@ -196,7 +204,9 @@ def surface_terms(
     pairs = [(inner, outer) for inner, outer in _PAIRS if inner in posed and outer in posed]
     if weights.penetration > 0 and pairs:
         terms["penetration"] = _total(
-            penetration_loss(posed[outer].means, posed[inner].means, posed[inner].normals, margin)
+            penetration_loss(
+                posed[outer].means, posed[inner].means, posed[inner].normals, margin, every=every, phase=phase
+            )
             for inner, outer in pairs
         )
     if "body" in posed and weights.opacity > 0:

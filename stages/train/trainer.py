@@ -222,7 +222,8 @@ class Trainer:
             if not math.isfinite(sums["total"]):
                 return sums
             with clock("surface"):
-                terms = surface_terms(posed, self.surfaces, weights, self.config.penetration_margin)
+                margin, every = self.config.penetration_margin, self.config.penetration_every
+                terms = surface_terms(posed, self.surfaces, weights, margin, every, choice.step)
                 part = 1.0 if self.one_pass else 1.0 / len(choice.cameras)
                 surface = _sum(terms, weights, part, sums) if terms else None
             with clock("network"):

@@ -155,6 +155,17 @@ def test_fast_ssim_equals_the_plain_one_with_its_gradient() -> None:
     assert torch.allclose(fast.grad.double(), plain.grad, atol=2e-4 * scale.item())
 
 
+def test_penetration_at_a_part_of_the_points_is_the_whole_in_turns() -> None:
+    generator = torch.Generator().manual_seed(4)
+    outer, inner = (0.02 * torch.randn(32, 3, generator=generator) for _ in range(2))
+    normals = torch.nn.functional.normalize(torch.randn(32, 3, generator=generator), dim=1)
+    parts = [penetration_loss(outer, inner, normals, every=4, phase=step) for step in range(4)]
+    assert len({round(part.item(), 9) for part in parts}) == 4
+    whole = penetration_loss(outer, inner, normals)
+    assert whole > 0 and torch.stack(parts).mean() == pytest.approx(whole.item(), rel=1e-5)
+    assert penetration_loss(outer, inner, normals, every=4, phase=6) == parts[2]
+
+
 def test_penetration_by_hand() -> None:
     inner = torch.tensor([[0.0, 0, 0], [1.0, 0, 0]])
     normals = torch.tensor([[0.0, 0, 1], [0.0, 0, 1]])

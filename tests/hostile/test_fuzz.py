@@ -15,7 +15,7 @@ from tests.hostile.readers import READERS
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 REGRESSIONS = sorted((Path(__file__).parent / "regressions").glob("*-*"))
-CI_RUNS, NIGHTLY_RUNS = 300, 100_000
+CI_RUNS, NIGHTLY_RUNS = 1_000, 100_000
 
 
 def fuzz(reader: str, runs: int, crashes: Path, *options: str, seconds: float) -> dict[str, dict[str, float]]:

@@ -32,6 +32,14 @@ Preset = Annotated[
 ]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of everything random.")]
 Device = Annotated[str, typer.Option(help="auto | cpu | cuda.", autocompletion=completion.devices)]
+Recompute = Annotated[
+    bool,
+    typer.Option(
+        "--recompute",
+        help="Compute the networks' activations again in the backward pass instead of keeping them: the same "
+        "result in less memory, for about a third more time in the networks.",
+    ),
+]
 Force = Annotated[bool, typer.Option("--force", help="Do it again though it is up to date.")]
 
 

@@ -98,6 +98,8 @@ class TrainConfig:
         takes: training takes to learn from beside the one of the template; "all" for every one.
         from_layers: layers that start from another subject (`stages/train/start.py`); all that both have
             where it is empty and such a subject is given.
+        recompute: networks' activations are computed again in the backward pass instead of kept; not part of
+            what the result is named by, which is the same.
         device: auto, cpu or cuda; not part of what the result is named by.
     """
 
@@ -127,6 +129,7 @@ class TrainConfig:
     without: tuple[str, ...] = ()
     takes: tuple[str, ...] = field(default=(), metadata={"said_if_set": True})
     from_layers: tuple[str, ...] = field(default=(), metadata={"said_if_set": True})
+    recompute: bool = field(default=False, metadata={"affects_result": False})
     device: str = field(default="auto", metadata={"affects_result": False})
 
 

@@ -10,7 +10,7 @@ import torch
 from stages.shared.avatar.config import ModelConfig
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.avatar.positional import network_grid
-from stages.shared.nets.styleunet import StyleUNet
+from stages.shared.nets.styleunet import StyleUNet, ViewNet
 from stages.train.config import TrainConfig
 
 # Measured on two cores, forward and backward: per Gaussian and camera and per camera (512² images), per
@@ -22,19 +22,20 @@ _SECONDS_PER_NETWORK = 0.05
 _SECONDS_PER_WEIGHT_PIXEL = 1.2e-12
 _SECONDS_PER_BASIS_NUMBER = 8e-9  # reckoned: seven passes over memory (there, back, Adam) at 4 GB/s
 _SECONDS_PER_TRACKED_VIEW = 0.15  # a frame in one camera, all rounds
-# Reckoned, not measured: VGG-16 there, back, and once for the truth at 100 GFLOP/s; its activations.
+# Reckoned, not measured: VGG-16 there, back, and once for the truth at 100 GFLOP/s.
 _SECONDS_PER_PERCEIVED_PIXEL = 1.8e-5
-_BYTES_PER_PERCEIVED_PIXEL = 2200
 _TRACKING_SHARE = 1 / 3
 _FLOAT = 4
 
 
-def parameters(maps: dict[str, LayerMaps], config: TrainConfig) -> int:
-    """Learned numbers of all layers."""
+def parameters(maps: dict[str, LayerMaps], config: TrainConfig, anchors: int = 0) -> int:
+    """Learned numbers of all layers, `anchors` of which garments have where the model has any."""
     base = 14 * sum(len(layer) for layer in maps.values()) if config.model.base else 0
     if config.model.decoder == "blendshapes":
         return base + sum(len(layer) for layer in maps.values()) * _basis_numbers(config.model)
-    return base + sum(_network_parameters(layer, config.model) for layer in maps.values())
+    cells = sum(_anchor_cells(layer, config.model) for layer in maps.values() if layer.layer != "body")
+    networks = sum(sum(network_parameters(layer, config.model)) for layer in maps.values())
+    return base + networks + 6 * anchors * cells
 
 
 def seconds(maps: dict[str, LayerMaps], config: TrainConfig, tracked_views: int = 0) -> float:
@@ -46,10 +47,10 @@ def seconds(maps: dict[str, LayerMaps], config: TrainConfig, tracked_views: int 
         networks += gaussians * _basis_numbers(config.model) * _SECONDS_PER_BASIS_NUMBER
     for layer in maps.values():
         grid = network_grid(layer.window, config.model.factor, config.model.depth)
-        work = _network_parameters(layer, config.model) * grid.height * grid.width
+        work = sum(network_parameters(layer, config.model)) * grid.height * grid.width
         networks += len(config.model.networks_of(layer.layer)) * _SECONDS_PER_NETWORK
         networks += work * _SECONDS_PER_WEIGHT_PIXEL
-    perceived = 2 * config.views_per_step * _perceived_pixels(config) * _SECONDS_PER_PERCEIVED_PIXEL
+    perceived = 2 * config.views_per_step * perceived_pixels(config) * _SECONDS_PER_PERCEIVED_PIXEL
     total = config.steps * (pictures + networks + perceived)
     if config.track.frame_step and config.model.anchors:
         total += tracked_views * _SECONDS_PER_TRACKED_VIEW + config.track.warm_up * pictures
@@ -74,24 +75,12 @@ def affordable_tracking(config: TrainConfig, frames: int, cameras: int) -> Train
     return replace(config, track=replace(config.track, frame_step=step))
 
 
-def memory_bytes(maps: dict[str, LayerMaps], config: TrainConfig) -> int:
-    """Peak memory: libraries, weights with gradients and moments, network activations, cached pictures."""
-    activations = 0.0
-    for layer in maps.values():
-        grid = network_grid(layer.window, config.model.factor, config.model.depth)
-        nets = len(config.model.networks_of(layer.layer))
-        activations += nets * grid.height * grid.width * 64 * config.model.width * 40 * _FLOAT
-    texels = sum(len(layer) for layer in maps.values())
-    activations += 2 * _perceived_pixels(config) * _BYTES_PER_PERCEIVED_PIXEL
-    return int(7e8 + 4 * _FLOAT * parameters(maps, config) + activations + texels * 3000 + 4e8)
+def disk_bytes(learned: int) -> int:
+    """Weights, the checkpoint with moments (while it runs), metrics and previews; of so many numbers."""
+    return 4 * _FLOAT * learned + (16 << 20)
 
 
-def disk_bytes(maps: dict[str, LayerMaps], config: TrainConfig) -> int:
-    """Weights, the checkpoint with moments (while it runs), metrics and previews."""
-    return 4 * _FLOAT * parameters(maps, config) + (16 << 20)
-
-
-def _perceived_pixels(config: TrainConfig) -> int:
+def perceived_pixels(config: TrainConfig) -> int:
     """Of one crop that LPIPS sees; 0 without perceptual weights."""
     return config.perceptual_side**2 if config.perceptual_digest else 0
 
@@ -101,13 +90,23 @@ def _basis_numbers(model: ModelConfig) -> int:
     return sum(width * rank for width, rank in zip((3, 3, 8), model.ranks, strict=True))
 
 
-def _network_parameters(layer: LayerMaps, model: ModelConfig) -> int:
+def _anchor_cells(layer: LayerMaps, model: ModelConfig) -> int:
+    """Of a side of the maps of an anchor."""
+    grid = network_grid(layer.window, model.factor, model.depth)
+    height, width = (math.ceil(side * model.factor / model.anchor_cell) for side in (grid.height, grid.width))
+    return height * width
+
+
+def network_parameters(layer: LayerMaps, model: ModelConfig) -> list[int]:
+    """Of every network of a layer, and of what shows it the view."""
     grid = network_grid(layer.window, model.factor, model.depth)
     inputs = 3 if model.input_views == "front" else 6
     outputs = model.networks_of(layer.layer)
     with torch.device("meta"):
-        networks = [
+        networks: list[torch.nn.Module] = [
             StyleUNet(inputs, count, (grid.height, grid.width), model.depth, model.width, model.style)
             for count in outputs
         ]
-    return sum(p.numel() for network in networks for p in network.parameters())
+        if outputs and model.view_conditioning:
+            networks.append(ViewNet(model.width))
+    return [sum(p.numel() for p in network.parameters()) for network in networks]

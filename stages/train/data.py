@@ -29,6 +29,8 @@ from stages.train.window import Window
 _BACKGROUND, _UNKNOWN = 250, 255
 _MASK_THRESHOLD = 127
 _MARGIN = 8
+KEPT_BYTES = 1 << 30  # of decoded crops
+KEPT_BYTES_PER_PIXEL = 6  # image 3, mask, layer, outline
 ViewKey = tuple[int, str, float, Window | None]
 """Frame, camera, scale, window."""
 
@@ -97,7 +99,7 @@ class TrainingViews:
         poses: Poses,
         body: BodyModel,
         layers: Sequence[str],
-        cache_bytes: int = 1 << 30,
+        cache_bytes: int = KEPT_BYTES,
     ) -> None:
         self.footage, self.poses, self.body, self.layers = footage, poses, body, tuple(layers)
         self.cache_bytes = cache_bytes

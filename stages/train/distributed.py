@@ -218,6 +218,11 @@ def local_rank() -> int:
     return int(os.environ.get("LOCAL_RANK", "0")) if distributed.is_torchelastic_launched() else 0
 
 
+def on_this_machine() -> int:
+    """How many processes of the run share this machine's memory."""
+    return int(os.environ.get("LOCAL_WORLD_SIZE", "1")) if distributed.is_torchelastic_launched() else 1
+
+
 def for_all(config: TrainConfig, processes: Processes) -> TrainConfig:
     """The configuration of one process that would do what these do together: all their cameras a step."""
     return replace(config, views_per_step=config.views_per_step * processes.count)

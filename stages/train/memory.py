@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import torch
 
 from stages.shared.errors import UsageProblem
-from stages.shared.report import Report
 
-_CURE = "Use --preset draft, fewer --views-per-step, a smaller --image-scale, or another machine."
+_REFUSED_ABOVE = 0.9  # of what is free
 _TORCH_SAYS = ("not enough memory", "can't allocate memory", "out of memory", "bad_alloc")
 
 
@@ -25,18 +24,37 @@ def available_bytes(meminfo: Path = Path("/proc/meminfo")) -> int | None:
     return int(found[0][1]) * 1024 if found and len(found[0]) > 1 and found[0][1].isdigit() else None
 
 
-def say_if_scarce(needed: int, available: int | None, report: Report) -> bool:
-    """Warn where a run is likely not to fit; True if so."""
-    if available is None or needed <= available:
-        return False
-    report.warn(
-        f"this run needs about {needed / 1e9:.1f} GB of memory and {available / 1e9:.1f} GB are free. {_CURE}"
+def refuse_if_scarce(needed: int, available: int | None, fixes: Callable[[], dict[str, int]]) -> None:
+    """End a run that is not likely to fit, before it starts.
+
+    Arguments:
+        needed: estimate of the run, bytes. available: free, or None where nobody knows. fixes: options that
+            need less, and what the run would need with each.
+
+    Raises:
+        UsageProblem: more than nine tenths of the free memory are needed.
+    """
+    if available is None or needed <= _REFUSED_ABOVE * available:
+        return
+    raise UsageProblem(
+        f"This run needs about {needed / 1e9:.1f} GB of memory, and {available / 1e9:.1f} GB are free.",
+        "preset",
+        cure(fixes(), available),
     )
-    return True
+
+
+def cure(fixes: dict[str, int], available: int | None) -> str:
+    """Which of these options fits, the first in order; or what else could help."""
+    for option, needed in fixes.items():
+        if available is None or needed <= _REFUSED_ABOVE * available:
+            return f"Use {option}, which needs about {needed / 1e9:.1f} GB."
+    return (
+        "Learn from fewer frames (--frame-step, --track-step), close other programs, or use another machine."
+    )
 
 
 @contextmanager
-def memory_named(needed: int) -> Iterator[None]:
+def memory_named(needed: int, fixes: Callable[[], dict[str, int]]) -> Iterator[None]:
     """Running out of memory becomes an error that says what fits.
 
     Raises:
@@ -49,5 +67,7 @@ def memory_named(needed: int) -> Iterator[None]:
         if isinstance(error, RuntimeError) and not any(words in text for words in _TORCH_SAYS):
             raise
         raise UsageProblem(
-            f"Memory ran out; this run was estimated at {needed / 1e9:.1f} GB.", "preset", _CURE
+            f"Memory ran out; this run was estimated at {needed / 1e9:.1f} GB.",
+            "preset",
+            cure(fixes(), available_bytes()),
         ) from error

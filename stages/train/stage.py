@@ -42,10 +42,11 @@ from stages.train.board import Board
 from stages.train.checkpoint import METRICS_NAME, RunState
 from stages.train.config import TrainConfig
 from stages.train.data import TrainingViews
-from stages.train.distributed import ALONE, Processes, Unwritten, for_all, local_rank
-from stages.train.footage import Footage
+from stages.train.distributed import ALONE, Processes, Unwritten, for_all, local_rank, on_this_machine
+from stages.train.extent import extent_of
+from stages.train.footprint import anchors_of, memory_bytes, smaller_runs
 from stages.train.loop import learn
-from stages.train.memory import available_bytes, memory_named, say_if_scarce
+from stages.train.memory import available_bytes, memory_named, refuse_if_scarce
 from stages.train.method import settled
 from stages.train.requirements import scene_requirements, what_it_took
 from stages.train.source import Source, open_source
@@ -94,12 +95,19 @@ def run(
     perceptual = Perceptual.load(perceptual_weights) if perceptual_weights else None
     if perceptual is None and max(weights.lpips, weights.face) > 0:
         report.say("no perceptual weights given: the LPIPS terms are off")
-    needed = cost.memory_bytes(source.layers(config.method).maps, settled(config))
-    say_if_scarce(needed, available_bytes(), report)
-    with memory_named(needed):
-        trainer = _trainer(source, config, _device(config.device), perceptual, processes=processes)
+    device, room = _device(config.device), available_bytes()
+    maps = source.layers(config.method).maps
+    needed = memory_bytes(maps, settled(config), extent_of(source.footage, settled(config)))
+
+    def fixes() -> dict[str, int]:
+        return smaller_runs(maps, settled(config), source.footage)
+
+    if device.type == "cpu":
+        refuse_if_scarce(needed, room // on_this_machine() if room else None, fixes)
+    with memory_named(needed, fixes):
+        trainer = _trainer(source, config, device, perceptual, processes=processes)
     folder = workspace.progress(TRAIN, config, inputs, force=force) if processes.first else Unwritten()
-    with memory_named(needed), folder as progress:
+    with memory_named(needed, fixes), folder as progress:
         state = checkpoint.restore(progress, trainer)
         checkpoint.spread(trainer, state)
         if state.step:
@@ -149,14 +157,15 @@ def plan(
         Perceptual.load(perceptual_weights)
     maps, chosen = source.layers(config.method).maps, settled(config)
     body = BodyModel.from_arrays(source.registered.arrays("body.safetensors"))
+    extent = extent_of(source.footage, chosen)
     given = [str(path) for path in (perceptual_weights, from_subject) if path]
     return Plan(
         inputs=[str(source.registered.path), str(source.baked.path), str(source.capture.root), *given],
         outputs=[f"{workspace.root / TRAIN.name}/<key>/{name}.safetensors" for name in maps],
         config=asdict(config),
-        seconds=cost.seconds(maps, chosen, _tracked_views(source.footage, chosen)),
-        memory_bytes=cost.memory_bytes(maps, chosen),
-        disk_bytes=cost.disk_bytes(maps, chosen),
+        seconds=cost.seconds(maps, chosen, extent.tracked_views),
+        memory_bytes=memory_bytes(maps, chosen, extent),
+        disk_bytes=cost.disk_bytes(cost.parameters(maps, chosen, anchors_of(chosen, extent))),
         scene=scene_requirements(maps, body, source.poses, source.footage.every(config.frame_step), chosen),
     )
 
@@ -209,13 +218,6 @@ def _device(name: str) -> torch.device:
     check_device(name)
     on_gpu = name != "cpu" and torch.cuda.is_available()
     return torch.device("cuda", local_rank()) if on_gpu else torch.device("cpu")
-
-
-def _tracked_views(footage: Footage, config: TrainConfig) -> int:
-    """Pictures through which garments are followed."""
-    config = cost.affordable_tracking(config, len(footage.frames), len(footage.training_cameras))
-    frames = footage.every(config.track.frame_step) if config.track.frame_step else []
-    return len(frames) * len(footage.training_cameras)
 
 
 def _trainer(

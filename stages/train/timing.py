@@ -5,6 +5,7 @@ Reads what `gw train` reads; writes nothing.
 
 from __future__ import annotations
 
+import resource
 import statistics
 import time
 from collections.abc import Callable
@@ -36,10 +37,11 @@ Draw = Callable[[Composite, Camera], list[Tensor]]
 
 @dataclass(frozen=True)
 class TimingConfig:
-    """steps: measured after one that warms up. threads: 0 is torch's number."""
+    """steps: measured after one that warms up. threads: 0 is torch's number. update: with Adam's part."""
 
     steps: int = 5
     threads: int = 0
+    update: bool = True
 
 
 def run(
@@ -50,7 +52,8 @@ def run(
     Keys: `step_seconds` and `phase_seconds` (see `StepReport`; "splat" includes the picture losses);
     `kernel_seconds` of the splatting kernels within a step, forward and backward; `splat_seconds`: the
     pictures of one step drawn in one traversal ("shared": colours, labels and the body alone), and by a call
-    each ("separate"); `step_seconds_separate`: the step if it drew them so, by subtraction.
+    each ("separate"); `step_seconds_separate`: the step if it drew them so, by subtraction. `peak_bytes` of
+    the process so far, `parameters` learned.
     """
     if config.steps < 1:
         raise UsageProblem("No steps to measure.", "steps", "Give one or more.")
@@ -59,23 +62,23 @@ def run(
     try:
         report.step("preparing")
         trainer = prepare(subject, train)
-        return measure(trainer, config.steps, report)
+        return measure(trainer, config.steps, report, config.update)
     finally:
         torch.set_num_threads(before)
 
 
-def measure(trainer: Trainer, steps: int, report: Report) -> dict[str, Any]:
+def measure(trainer: Trainer, steps: int, report: Report, update: bool = True) -> dict[str, Any]:
     first = int(_SHARE_OF_RUN * trainer.config.steps)
     elapsed = _SHARE_OF_RUN * 60.0 * trainer.config.minutes
     report.step("steps")
     rows: list[dict[str, float]] = []
     kernels: list[dict[str, float]] = []
     with trainer.views.ahead.reading():
-        trainer.step(first, elapsed)
+        trainer.step(first, elapsed, update)
         for number in range(first + 1, first + 1 + steps):
             started = time.perf_counter()
             with watch() as seconds:
-                phases = trainer.step(number, elapsed).seconds
+                phases = trainer.step(number, elapsed, update).seconds
             rows.append({"step": time.perf_counter() - started, **phases})
             backward = sum(seconds.get(name, 0.0) for name in _BACKWARD_KERNELS)
             kernels.append({"forward": sum(seconds.values()) - backward, "backward": backward})
@@ -94,6 +97,8 @@ def measure(trainer: Trainer, steps: int, report: Report) -> dict[str, Any]:
         "channels": composite.features.shape[1],
         "threads": torch.get_num_threads(),
         "steps": steps,
+        "parameters": sum(parameter.numel() for parameter in trainer.parameters.values()),
+        "peak_bytes": 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss,
         "step_seconds": medians.pop("step"),
         "phase_seconds": medians,
         "kernel_seconds": _medians(kernels),

@@ -89,6 +89,8 @@ class Trainer:
         self.frames = views.frames(config.frame_step)
         self.cameras = views.footage.training_cameras
         self.surfaces = Surfaces.of({name: model.maps for name, model in models.items()})
+        for network in (one for model in models.values() for one in getattr(model, "networks", ())):
+            network.recompute = config.recompute
         self.parameters = dict(named_parameters(models))
         self.optimizer = adam(config, models)
         self._poses: dict[int, FramePose] = {}
@@ -138,8 +140,11 @@ class Trainer:
             if name not in self.beginnings.frozen:
                 model.fit_mean(*self._local_poses(self.frames))
 
-    def step(self, number: int, elapsed: float) -> StepReport:
-        """Learn from one frame, `elapsed` s into the run. A step that is not finite changes nothing."""
+    def step(self, number: int, elapsed: float, update: bool = True) -> StepReport:
+        """Learn from one frame, `elapsed` s into the run. A step that is not finite changes nothing.
+
+        Without `update` only the gradients are computed.
+        """
         done = schedule.progress(self.config, number, elapsed)
         weights = schedule.stage_weights(self.config, done)
         choice = self._choice(number)
@@ -156,7 +161,7 @@ class Trainer:
         with clock("optimiser"):
             norm = self._gradient_norm()
             finite = math.isfinite(terms["total"]) and math.isfinite(norm)
-            if finite:
+            if finite and update:
                 self._update(schedule.rate_factor(self.config, done), norm, _LATER_KINDS if coarse else ())
         return StepReport(number, choice.frame, choice.cameras, finite, terms, norm, clock.seconds)
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
+from torch.utils.checkpoint import checkpoint
 
 from stages.shared.nets.layers import EncoderConv, EqualLinear, StyledConv, ToBands, halve, inverse_haar
 
@@ -67,6 +68,9 @@ class StyleUNet(nn.Module):
     """
 
     style_input: Tensor  # (1, style)
+    recompute = False
+    """Compute activations again in the backward pass instead of keeping them: the same gradients for a third
+    more work, and memory for one network at a time."""
 
     def __init__(
         self,
@@ -102,6 +106,13 @@ class StyleUNet(nn.Module):
 
         `view_features`: per decoder, features added after level 1 (`ViewNet`).
         """
+        if self.recompute and torch.is_grad_enabled():
+            return checkpoint(
+                self._pictures, image, view_features, use_reentrant=False, preserve_rng_state=False
+            )
+        return self._pictures(image, view_features)
+
+    def _pictures(self, image: Tensor, view_features: tuple[Tensor, Tensor] | None) -> Tensor:
         style = self._style()
         features = self.encoder(image)
         deepest = self.fuse[0](features[-1])

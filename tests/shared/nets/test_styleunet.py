@@ -70,3 +70,34 @@ def test_resampling_keeps_a_constant_inside() -> None:
     assert torch.allclose(halve(image)[:, :, 1:-1, 1:-1], torch.tensor(0.7, dtype=torch.float64))
     assert torch.allclose(double(image)[:, :, 2:-2, 2:-2], torch.tensor(0.7, dtype=torch.float64))
     assert halve(image).shape == (1, 2, 6, 4) and double(image).shape == (1, 2, 24, 16)
+
+
+def test_recomputed_activations_give_the_same_gradients_to_the_bit() -> None:
+    """And keep less: what the graph holds on to is counted."""
+    torch.manual_seed(2)
+    net = StyleUNet(3, 4, (32, 16), depth=2, width=0.125, style=8)
+    for decoder in net.decoders:
+        for bands in decoder.to_bands:  # zero at the start, which would hide every gradient
+            torch.nn.init.normal_(bands.conv.weight)
+    image = torch.randn(1, 3, 32, 16)
+    views = (torch.randn(1, 16, 16, 8), torch.randn(1, 16, 16, 8))
+    found, kept = [], []
+    for net.recompute in (False, True):
+        held: list[int] = []
+
+        def count(tensor: torch.Tensor, held: list[int] = held) -> torch.Tensor:
+            held.append(tensor.numel())
+            return tensor
+
+        leaves = tuple(view.clone().requires_grad_() for view in views)
+        net.zero_grad(set_to_none=True)
+        with torch.autograd.graph.saved_tensors_hooks(count, lambda tensor: tensor):
+            answer = net(image, leaves)
+        answer.square().sum().backward()
+        gradients = [p.grad for p in (*net.parameters(), *leaves)]
+        found.append([answer.detach(), *(g for g in gradients if g is not None)])
+        kept.append(sum(held))
+    assert len(found[0]) == len(found[1]) > 20
+    assert all(torch.equal(one, other) for one, other in zip(*found, strict=True))
+    assert max(float(gradient.abs().max()) for gradient in found[0][1:]) > 0
+    assert kept[1] < 0.1 * kept[0]

@@ -10,6 +10,7 @@ import torch
 from typer.testing import CliRunner
 
 from gw_cli.app import app
+from stages.shared.artifacts.canonical import plain
 from stages.shared.errors import UsageProblem
 from stages.train import timing
 from stages.train.stage import prepare
@@ -48,6 +49,17 @@ def test_command(subject: Path) -> None:
     )
     assert found.exit_code == 0, found.output
     assert json.loads(found.stdout.splitlines()[-1])["result"]["steps"] == 1
+
+
+def test_gradients_alone_leave_everything_as_it_is(subject: Path) -> None:
+    trainer = prepare(subject, tiny(recompute=True))
+    assert all(network.recompute for model in trainer.models.values() for network in model.networks)
+    before = {name: parameter.detach().clone() for name, parameter in trainer.parameters.items()}
+    report = trainer.step(3, 0.0, update=False)
+    assert report.finite and report.gradient_norm > 0
+    assert all(torch.equal(before[name], value) for name, value in trainer.parameters.items())
+    assert not trainer.optimizer.state
+    assert plain(tiny(recompute=True)) == plain(tiny()), "the result is the same, and so is its name"
 
 
 def test_no_steps_are_refused(subject: Path) -> None:

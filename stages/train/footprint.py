@@ -1,0 +1,100 @@
+"""Memory that a run will take, before it starts: the peak of the process.
+
+What is counted: libraries; what is learned, with gradient and both moments of Adam, and once more for what a
+resumed run reads or the end writes; Gaussians in a step; activations of the networks, and their modulated
+weights; pictures, decoded and kept; and at the end the PCA of positional maps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from stages.shared.avatar.config import ModelConfig
+from stages.shared.avatar.maps import LayerMaps
+from stages.shared.avatar.positional import network_grid
+from stages.train.config import PRESETS, TrainConfig
+from stages.train.cost import network_parameters, parameters, perceived_pixels
+from stages.train.data import KEPT_BYTES, KEPT_BYTES_PER_PIXEL
+from stages.train.extent import Extent, extent_of
+from stages.train.footage import Footage
+from stages.train.method import settled
+
+_FLOAT = 4
+_COPIES = 5  # value, gradient, two moments; one more while reading and writing
+_LIBRARIES = 540_000_000  # torch, compiled kernels and the rest, measured
+_PER_GAUSSIAN = 3000  # maps, and what a step makes of them; measured
+# Counted in the graph of a StyleUNet: kept activations in units of its widest level (64 channels times width
+# at input size), those that do not get wider with the rest, and kept modulated weights, in times the weights.
+_ACTIVATIONS, _ACTIVATIONS_OVER_WIDTH, _MODULATED = 36.5, 1.1, 1.6
+_GOING_BACK = 1.2  # gradients on their way, in times what is kept
+_PICTURE_FLOATS = 8  # of a pixel in a view: colour, three masks, outline; beside a channel for every layer
+_RENDER_FLOATS = 75  # of a pixel while its picture is drawn and compared
+_BYTES_PER_PERCEIVED_PIXEL = 2200  # reckoned: activations of VGG-16
+_PCA_FLOATS = 7  # of a value of a positional map in one frame
+
+
+def anchors_of(config: TrainConfig, extent: Extent) -> int:
+    """How many anchors every garment gets: one for each frame that is followed, else as configured."""
+    if not config.model.anchors:
+        return 0
+    return extent.followed or min(config.model.anchors, extent.learned)
+
+
+def memory_bytes(maps: dict[str, LayerMaps], config: TrainConfig, extent: Extent) -> int:
+    """Peak of a run with this (settled) configuration."""
+    learned = _COPIES * _FLOAT * parameters(maps, config, anchors_of(config, extent))
+    texels = _PER_GAUSSIAN * sum(len(layer) for layer in maps.values())
+    perceived = 2 * perceived_pixels(config) * _BYTES_PER_PERCEIVED_PIXEL
+    pca = max((_pca_bytes(layer, config.model, extent) for layer in maps.values()), default=0)
+    # The graph of a step is gone when the PCA is made.
+    step = _network_bytes(maps, config) + perceived
+    return int(_LIBRARIES + learned + texels + _picture_bytes(len(maps), config, extent) + max(step, pca))
+
+
+def smaller_runs(maps: dict[str, LayerMaps], config: TrainConfig, footage: Footage) -> dict[str, int]:
+    """Options that make a run smaller, the mildest first, and the peak with each.
+
+    `maps` are those of the method as it is; other presets are reckoned on the same maps.
+    """
+    presets = [(f"--preset {name}", PRESETS[name]) for name in ("balanced", "draft", "tiny")]
+    others = [("--recompute", replace(config, recompute=True))]
+    kept = {"method": config.method, "minutes": config.minutes}
+    others += [(option, replace(preset, **kept)) for option, preset in presets]  # type: ignore[arg-type]
+    whole = memory_bytes(maps, config, extent_of(footage, config))
+    sizes = {o: memory_bytes(maps, c, extent_of(footage, c)) for o, c in ((o, settled(c)) for o, c in others)}
+    return {option: size for option, size in sizes.items() if size < whole}
+
+
+def _picture_bytes(layers: int, config: TrainConfig, extent: Extent) -> int:
+    """Decoded crops that are kept, views of a step and the next or of a tracked frame, and a render."""
+    kept = min(KEPT_BYTES, extent.read * extent.cameras * extent.pixels * KEPT_BYTES_PER_PIXEL)
+    shown = extent.pixels * config.image_scale**2
+    if config.patch:
+        shown = min(shown, config.patch**2)
+    view = (_PICTURE_FLOATS + layers) * _FLOAT
+    followed = view * extent.cameras * extent.pixels if extent.followed else 0
+    return int(
+        kept + max(followed, 2 * config.views_per_step * view * shown) + _RENDER_FLOATS * _FLOAT * shown
+    )
+
+
+def _network_bytes(maps: dict[str, LayerMaps], config: TrainConfig) -> float:
+    """Of the graphs of all networks; of the largest one, where activations are not kept."""
+    model, found = config.model, [0.0]
+    for layer in maps.values():
+        grid = network_grid(layer.window, model.factor, model.depth)
+        widest = grid.height * grid.width * 64 * model.width
+        kept = widest * (_ACTIVATIONS + _ACTIVATIONS_OVER_WIDTH / model.width)
+        number = len(model.networks_of(layer.layer))
+        found += [kept + _MODULATED * weights for weights in network_parameters(layer, model)[:number]]
+    return _GOING_BACK * _FLOAT * (max(found) if config.recompute else sum(found))
+
+
+def _pca_bytes(layer: LayerMaps, model: ModelConfig, extent: Extent) -> float:
+    """Of the singular values of a layer's positional maps, frame by frame."""
+    if not model.pose_prior or not model.networks_of(layer.layer):
+        return 0.0
+    grid = network_grid(layer.window, model.factor, model.depth)
+    pixels = min(grid.height * grid.width, len(layer) / model.factor**2)
+    values = (3 if model.input_views == "front" else 6) * pixels
+    return _PCA_FLOATS * _FLOAT * values * extent.learned

@@ -23,6 +23,7 @@ def files(folder: Path) -> dict[str, bytes]:
 
 
 @pytest.mark.long
+@pytest.mark.timeout(3600)
 def test_one_and_two_threads(made: Path, tmp_path: Path) -> None:
     for threads in ("1", "2"):
         folder = tmp_path / threads

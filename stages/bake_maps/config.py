@@ -22,7 +22,7 @@ class BakeMapsConfig:
         project_colors: sample the template frame's images at every texel.
     """
 
-    pitch: float = 0.0065
+    pitch: float = 0.009
     extent_m: float = 2.0
     unseen_limit: float = 0.01
     most_sheets: int = 4

@@ -13,7 +13,9 @@ SEGMENT_LAYERS = StageSpec(
 )
 BAKE_MAPS = StageSpec("bake-maps", "gw bake-maps SUBJECT", ("canonicalize", "segment-layers"), code_version=2)
 TRAIN = StageSpec("train", "gw train SUBJECT", ("register-template", "bake-maps"), code_version=6)
-DISTILL = StageSpec("distill", "gw distill SUBJECT", ("register-template", "bake-maps", "train"))
+DISTILL = StageSpec(
+    "distill", "gw distill SUBJECT", ("register-template", "bake-maps", "train"), code_version=2
+)
 
 PIPELINE: tuple[StageSpec, ...] = (REGISTER_TEMPLATE, CANONICALIZE, SEGMENT_LAYERS, BAKE_MAPS, TRAIN)
 OPTIONAL: tuple[StageSpec, ...] = (DISTILL,)

@@ -67,7 +67,8 @@ class PoseCoefficients(nn.Module):
         super().__init__()
         moving = motion_length(history)
         self.register_buffer("centres", torch.zeros(centres, 9 * BODY_JOINTS + moving))
-        self.register_buffer("motion_scale", torch.ones(moving))
+        # Empty without history, and a bundle holds no empty tensors.
+        self.register_buffer("motion_scale", torch.ones(moving), persistent=moving > 0)
         self.register_buffer("bandwidth", torch.ones(1))
         self.register_buffer("weights", torch.zeros(centres, count))
 

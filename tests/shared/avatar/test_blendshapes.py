@@ -51,6 +51,13 @@ def test_a_fresh_model_is_the_baked_surface() -> None:
         assert torch.equal(getattr(model(pose), name), getattr(network(pose), name)), name
 
 
+@pytest.mark.parametrize("history", [0, 2])
+def test_no_array_of_its_state_is_empty(history: int) -> None:
+    config = ModelConfig(decoder="blendshapes", ranks=(3, 2, 1), history=history)
+    model = new_model(tube(), config, len(POSES))
+    assert all(tensor.numel() for tensor in model.state_dict().values()), "a bundle refuses empty tensors"
+
+
 def test_the_residual_is_mean_plus_coefficients_times_bases() -> None:
     model, pose = _fitted(), _pose(0.4)
     model.mean_residual.normal_(generator=torch.Generator().manual_seed(2))

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.shared.artifacts.files import write_whole
+from stages.shared.artifacts.files import require_room, write_whole
 from stages.shared.body import Poses, embedded_body
 from stages.shared.capture import native_writer
 from stages.shared.errors import UsageProblem
@@ -81,7 +81,7 @@ class Take:
 def plan(output: Path, config: SynthConfig = SynthConfig()) -> Plan:
     """What `run` would write and cost."""
     check_places(output)
-    views = (2 * config.train_images + 3 * config.test_images) * (config.cameras + 1)
+    views = _views(config)
     rays = views * (config.image_size * config.supersample) ** 2
     frames = 2 * config.train_images * config.train_stride + 3 * config.test_images * config.test_stride
     cloth = frames * 2e-6 / config.cloth_spacing**2 * config.substeps  # seconds of one core
@@ -94,8 +94,18 @@ def plan(output: Path, config: SynthConfig = SynthConfig()) -> Plan:
         config=asdict(config),
         seconds=10 + (cloth + pictures) / 2,
         memory_bytes=900 << 20,
-        disk_bytes=int(views * (4000 + 0.22 * config.image_size**2)) + (12 << 20),
+        disk_bytes=_disk_bytes(config),
     )
+
+
+def _views(config: SynthConfig) -> int:
+    """Pictures of all captures."""
+    return (2 * config.train_images + 3 * config.test_images) * (config.cameras + 1)
+
+
+def _disk_bytes(config: SynthConfig) -> int:
+    """Estimate of what `run` writes."""
+    return int(_views(config) * (4000 + 0.22 * config.image_size**2)) + (12 << 20)
 
 
 def run(output: Path, config: SynthConfig = SynthConfig(), report: Report = SILENT) -> SynthResult:
@@ -105,6 +115,7 @@ def run(output: Path, config: SynthConfig = SynthConfig(), report: Report = SILE
         UsageProblem: something else stands where the captures go. StorageFailure: disk full, no permission.
     """
     check_places(output)
+    require_room(output, _disk_bytes(config))
     report.step("cutting garments")
     mean = ShapedBody(embedded_body(), np.zeros(10, dtype=np.float32))
     first, second, swapped = outfits(mean, config)

@@ -25,7 +25,7 @@ from typing import Any
 import torch
 
 from stages.pipeline import TRAIN
-from stages.shared.artifacts import Progress, Workspace
+from stages.shared.artifacts import Progress, Workspace, require_room
 from stages.shared.artifacts.external import file_digest
 from stages.shared.artifacts.result import StageResult
 from stages.shared.avatar.decoder import AvatarModel, new_model
@@ -43,7 +43,7 @@ from stages.train.checkpoint import METRICS_NAME, RunState
 from stages.train.config import TrainConfig
 from stages.train.data import TrainingViews
 from stages.train.distributed import ALONE, Processes, Unwritten, for_all, local_rank, on_this_machine
-from stages.train.extent import extent_of
+from stages.train.extent import Extent, extent_of
 from stages.train.footprint import anchors_of, memory_bytes, smaller_runs
 from stages.train.loop import learn
 from stages.train.memory import available_bytes, memory_named, refuse_if_scarce
@@ -97,7 +97,9 @@ def run(
         report.say("no perceptual weights given: the LPIPS terms are off")
     device, room = _device(config.device), available_bytes()
     maps = source.layers(config.method).maps
-    needed = memory_bytes(maps, settled(config), extent_of(source.footage, settled(config)))
+    extent = extent_of(source.footage, settled(config))
+    needed = memory_bytes(maps, settled(config), extent)
+    require_room(workspace.root, _disk_bytes(maps, settled(config), extent))
 
     def fixes() -> dict[str, int]:
         return smaller_runs(maps, settled(config), source.footage)
@@ -165,7 +167,7 @@ def plan(
         config=asdict(config),
         seconds=cost.seconds(maps, chosen, extent.tracked_views),
         memory_bytes=memory_bytes(maps, chosen, extent),
-        disk_bytes=cost.disk_bytes(cost.parameters(maps, chosen, anchors_of(chosen, extent))),
+        disk_bytes=_disk_bytes(maps, chosen, extent),
         scene=scene_requirements(maps, body, source.poses, source.footage.every(config.frame_step), chosen),
     )
 
@@ -252,6 +254,11 @@ def _trainer(
     config = replace(config, weights=start.weights(config.weights))
     template_frame = int(source.registered.summary.get("frame", 0))
     return Trainer(config, models, views, device, perceptual, template_frame, known, processes)
+
+
+def _disk_bytes(maps: dict[str, LayerMaps], chosen: TrainConfig, extent: Extent) -> int:
+    """Estimate of what a run of the `chosen`, settled configuration writes."""
+    return cost.disk_bytes(cost.parameters(maps, chosen, anchors_of(chosen, extent)))
 
 
 def _summary(trainer: Trainer, start: Start, state: RunState, progress: Progress) -> dict[str, Any]:

@@ -12,9 +12,11 @@ import torch
 from typer.testing import CliRunner
 
 from gw_cli.app import app
+from stages.shared.artifacts import files
 from stages.shared.body import embedded_body, posed_vertices
 from stages.shared.capture import NO_LABEL, Take, open_capture
 from stages.shared.capture.true_meshes import true_meshes_of
+from stages.shared.errors import StorageFailure
 from stages.shared.poses import load_poses
 from stages.synth import stage
 from stages.synth.config import PRESETS, SynthConfig
@@ -57,6 +59,15 @@ def _posed(take: Take, frame: int) -> np.ndarray:
         torch.from_numpy(poses.translation[frame]),
         torch.from_numpy(poses.betas),
     ).numpy()
+
+
+def test_a_disk_too_full_is_refused_before_anything_is_simulated(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(files, "free_bytes", lambda path: 1000)
+    with pytest.raises(StorageFailure, match="1000 bytes free"):
+        stage.run(tmp_path / "captures", PRESETS["tiny"])
+    assert not (tmp_path / "captures").exists()
 
 
 def test_the_captures_have_the_takes_and_splits(made: stage.SynthResult) -> None:

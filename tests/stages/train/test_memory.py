@@ -8,9 +8,10 @@ from pathlib import Path
 import pytest
 import torch
 
+from stages.shared.artifacts import files
 from stages.shared.avatar.config import PAPER_MODEL
 from stages.shared.commands import run_command
-from stages.shared.errors import UsageProblem
+from stages.shared.errors import StorageFailure, UsageProblem
 from stages.train import cost, stage
 from stages.train.config import PRESETS, TrackConfig
 from stages.train.extent import extent_of
@@ -43,6 +44,14 @@ def test_a_run_that_cannot_fit_is_refused_before_it_starts(
     with pytest.raises(UsageProblem, match="GB are free") as caught:
         stage.run(subject, huge)
     assert "Use --preset balanced" in caught.value.fix
+    assert not list(subject.glob(".train*"))
+
+
+def test_a_disk_too_full_is_refused_before_it_starts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    subject = make_subject(tmp_path)
+    monkeypatch.setattr(files, "free_bytes", lambda path: 1000)
+    with pytest.raises(StorageFailure, match="1000 bytes free"):
+        stage.run(subject, tiny())
     assert not list(subject.glob(".train*"))
 
 

@@ -100,7 +100,10 @@ def _svg(points: Sequence[OperatingPoint], front: Sequence[OperatingPoint], axis
     for point in points:
         (x, y), color = scale.of(point), f"rgb{_color(points, point)}"
         parts.append(f'<circle cx="{x:.0f}" cy="{y:.0f}" r="5" fill="{color}"/>')
-        parts.append(f'<text x="{x + 8:.0f}" y="{y + 4:.0f}">{html.escape(point.name)}</text>')
+        parts.append(f'<text x="{x + 8:.0f}" y="{y + 4:.0f}">{html.escape(_label(point))}</text>')
+    for row, decoder in enumerate(_decoders(points)):
+        y, color = bottom - 8 - 15 * row, f"rgb{_COLORS[row % len(_COLORS)]}"
+        parts.append(f'<text x="{_MARGIN + 4}" y="{y}" fill="{color}">{html.escape(decoder)}</text>')
     parts.append(
         f'<text x="{_WIDTH / 2:.0f}" y="{_HEIGHT - 20}" text-anchor="middle">frames per second</text>'
     )
@@ -130,7 +133,9 @@ def _chart(
     for point in points:
         x, y = (round(place) for place in scale.of(point))
         cv2.circle(picture, (x, y), 5, _color(points, point), cv2.FILLED, cv2.LINE_AA)
-        _write(picture, point.name, (x + 8, y + 4), black)
+        _write(picture, _label(point), (x + 8, y + 4), black)
+    for row, decoder in enumerate(_decoders(points)):
+        _write(picture, decoder, (_MARGIN + 4, bottom - 8 - 15 * row), _COLORS[row % len(_COLORS)])
     _write(picture, "frames per second", (_WIDTH // 2 - 50, _HEIGHT - 20), black)
     _write(picture, name, (_MARGIN, _MARGIN - 20), black, 0.5)
     return picture
@@ -148,5 +153,14 @@ def _write(
 
 def _color(points: Sequence[OperatingPoint], point: OperatingPoint) -> tuple[int, int, int]:
     """One colour per decoder."""
-    kinds = sorted({other.decoder for other in points})
-    return _COLORS[kinds.index(point.decoder) % len(_COLORS)]
+    return _COLORS[_decoders(points).index(point.decoder) % len(_COLORS)]
+
+
+def _decoders(points: Sequence[OperatingPoint]) -> list[str]:
+    """Their names, each once."""
+    return sorted({point.decoder for point in points})
+
+
+def _label(point: OperatingPoint) -> str:
+    """Beside a point, whose colour says the decoder: its pitch, and its preset if it is of one."""
+    return point.name.removesuffix("-" + point.decoder.replace(" ", "-")).replace("-", " ")

@@ -27,7 +27,10 @@ class Board:
         events = importlib.import_module("tensorboardX.proto.event_pb2")
         self._summaries = importlib.import_module("tensorboardX.proto.summary_pb2")
         make_folders(folder)
-        self._writer = importlib.import_module("tensorboardX").FileWriter(str(folder))
+        # Files are named by the second; the suffix keeps apart two that begin within one.
+        self._writer = importlib.import_module("tensorboardX").FileWriter(
+            str(folder), filename_suffix=f".from-{first_step}"
+        )
         started = events.SessionLog(status=events.SessionLog.START)
         self._writer.add_event(events.Event(session_log=started), step=first_step)
 

@@ -113,7 +113,8 @@ def run(
     for index, name in enumerate(order):
         part = name.split("-")[0]
         passed = time.monotonic() - started
-        if config.minutes and set(ENDS) <= set(found) and passed + longest[part] > 60 * config.minutes:
+        expected = longest[part] or max(longest.values())
+        if config.minutes and set(ENDS) <= set(found) and passed + expected > 60 * config.minutes:
             left_out += [name] if name not in found else []
             continue
         report.step(ROWS[name])

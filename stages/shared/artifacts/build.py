@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import platform
-import resource
 import secrets
 import sys
 import time
@@ -40,6 +39,7 @@ from stages.shared.artifacts.manifest import (
 from stages.shared.artifacts.pictures import encode_png
 from stages.shared.artifacts.spec import StageSpec
 from stages.shared.errors import BadData
+from stages.shared.resident import peak_resident_bytes
 
 if TYPE_CHECKING:
     from stages.shared.artifacts.workspace import Workspace
@@ -216,7 +216,7 @@ class Build:
             "seconds": round(time.monotonic() - self._started, 3),
             "stage_seconds": round(_since_last_artifact(), 3),
             "complete_folders": self._complete,
-            "peak_bytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024,
+            "peak_bytes": peak_resident_bytes(),
             "python": platform.python_version(),
             "system": f"{platform.system()} {platform.machine()}",
             "libraries": _library_versions(),

@@ -95,7 +95,7 @@ def dotted_named() -> list[tuple[str, str]]:
         if re.fullmatch(r"[a-z_]\w*(\.[A-Za-z_]\w*)+", word)
         and word.rsplit(".", 1)[1] not in USERS
         and word not in FOREIGN
-        and not (word.endswith(".py"))
+        and not (word.endswith(".py") or (REPOSITORY / word).is_file())
     ]
 
 

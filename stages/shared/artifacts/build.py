@@ -37,9 +37,9 @@ from stages.shared.artifacts.manifest import (
     is_plain_name,
 )
 from stages.shared.artifacts.pictures import encode_png
+from stages.shared.artifacts.resident import peak_resident_bytes
 from stages.shared.artifacts.spec import StageSpec
 from stages.shared.errors import BadData
-from stages.shared.resident import peak_resident_bytes
 
 if TYPE_CHECKING:
     from stages.shared.artifacts.workspace import Workspace

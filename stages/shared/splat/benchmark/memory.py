@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from stages.shared.resident import resident_bytes
+from stages.shared.artifacts.resident import resident_bytes
 
 _RESET = Path("/proc/self/clear_refs")
 

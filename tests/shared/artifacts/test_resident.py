@@ -7,7 +7,7 @@ import sys
 
 import numpy as np
 
-from stages.shared.resident import peak_resident_bytes, resident_bytes
+from stages.shared.artifacts.resident import peak_resident_bytes, resident_bytes
 
 
 def test_the_peak_is_at_least_what_was_held() -> None:
@@ -18,6 +18,6 @@ def test_the_peak_is_at_least_what_was_held() -> None:
 
 def test_a_child_does_not_count_what_its_parent_held() -> None:
     held = np.ones(50_000_000)
-    program = "from stages.shared.resident import peak_resident_bytes; print(peak_resident_bytes())"
+    program = "from stages.shared.artifacts.resident import peak_resident_bytes; print(peak_resident_bytes())"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert 1_000_000 < int(done.stdout) < held.nbytes / 2

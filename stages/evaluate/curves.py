@@ -15,7 +15,7 @@ from stages.evaluate.config import EvaluateConfig
 from stages.evaluate.figure import Curve, Panel, figure
 from stages.evaluate.methods import TrainedMethod
 from stages.evaluate.score import score_views
-from stages.evaluate.views import FrameViews, require_views, views_of
+from stages.evaluate.views import FrameViews, views_by_split
 from stages.pipeline import BAKE_MAPS, REGISTER_TEMPLATE
 from stages.shared.artifacts import Artifact, Workspace
 from stages.shared.artifacts.files import write_whole
@@ -42,12 +42,7 @@ class CurveViews:
         registered = workspace.require(REGISTER_TEMPLATE)
         body = BodyModel.from_arrays(registered.arrays("body.safetensors"))
         capture = open_subject_capture(workspace, body)
-        splits = {}
-        for split in config.splits:
-            views = views_of(split, capture, str(registered.summary["take"]), config)
-            require_views(views, split, capture)
-            splits[split.replace("-", "_")] = views
-        return cls(splits)
+        return cls(views_by_split(capture, str(registered.summary["take"]), config))
 
     def scores(self, outfit: Outfit) -> dict[str, dict[str, float | None]]:
         """Split to means, without the first frame of a take where there are others."""

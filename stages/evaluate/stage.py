@@ -26,7 +26,7 @@ from stages.evaluate.parts import evaluation_key, gathered_rows, part_summary, s
 from stages.evaluate.result import MARK, RESULT_NAME, EvaluateResult, write_evaluation
 from stages.evaluate.score import view_pieces
 from stages.evaluate.vertices import posings_of, vertex_errors
-from stages.evaluate.views import FrameViews, require_views, views_of
+from stages.evaluate.views import FrameViews, views_by_split
 from stages.pipeline import BAKE_MAPS, DISTILL, REGISTER_TEMPLATE, SEGMENT_LAYERS, TRAIN
 from stages.shared.artifacts import Artifact, Workspace
 from stages.shared.artifacts.canonical import readable_json
@@ -138,11 +138,7 @@ def _open(subject: Path, config: EvaluateConfig, true_meshes: Sequence[str]) -> 
     registered = workspace.require(REGISTER_TEMPLATE)
     body = BodyModel.from_arrays(registered.arrays("body.safetensors"))
     capture = open_subject_capture(workspace, body)
-    splits = {}
-    for split in config.splits:
-        views = views_of(split, capture, str(registered.summary["take"]), config)
-        require_views(views, split, capture)
-        splits[split.replace("-", "_")] = views
+    splits = views_by_split(capture, str(registered.summary["take"]), config)
     meshes = _true_meshes(true_meshes, capture, config)
     return _Opened(workspace, _artifacts(workspace, registered, config), body, capture, splits, meshes)
 

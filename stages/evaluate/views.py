@@ -62,3 +62,15 @@ def _cameras(take: Take, split: str, config: EvaluateConfig) -> tuple[str, ...]:
 
 def _views(take: Take, frame: int, cameras: tuple[str, ...], first: bool) -> FrameViews:
     return FrameViews(take, frame, tuple(name for name in cameras if take.has_image(name, frame)), first)
+
+
+def views_by_split(
+    capture: Capture, template_take: str, config: EvaluateConfig
+) -> dict[str, list[FrameViews]]:
+    """Views of every split asked for, by name ("novel_pose"). Raises MissingInput where one has none."""
+    found = {}
+    for split in config.splits:
+        views = views_of(split, capture, template_take, config)
+        require_views(views, split, capture)
+        found[split.replace("-", "_")] = views
+    return found

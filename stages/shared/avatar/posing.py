@@ -49,14 +49,14 @@ class PosedBuffers:
 
 @dataclass(frozen=True, eq=False)
 class Replacement:
-    """What takes the place of a texel's own: weights (N,), offsets (N, 3) m, quaternions (N, 4) and colors
-    (N, 3) or None. A texel of weight 0 keeps its own.
+    """What takes the place of a texel's own: weights (N,), offsets (N, 3) m, quaternions (N, 4), and looks
+    (N, 7) or None: colour 3 (sRGB), scales 3 (m), opacity 1. A texel of weight 0 keeps its own.
     """
 
     weights: Floats
     offsets: Floats
-    quaternions: Floats | None = None
-    colors: Floats | None = None
+    quaternions: Floats
+    looks: Floats | None = None
 
 
 class PosedLayer:
@@ -208,20 +208,18 @@ def _sparse(weights: Floats) -> tuple[NDArray[np.int32], NDArray[np.int32], Floa
 def _stacked(
     replacements: tuple[Replacement, ...], count: int, kept: NDArray[np.bool_] | None
 ) -> tuple[NDArray[Any], ...]:
-    """Weights (R, N), offsets (R, N, 3), quaternions (R, N, 4), colours (R, N, 3), who has the last two."""
-    weights, offsets, quaternions, colors = (
-        np.zeros((len(replacements), count, *shape), np.float32) for shape in ((), (3,), (4,), (3,))
+    """Weights (R, N), offsets (R, N, 3), quaternions (R, N, 4), looks (R, N, 7), and who has the last."""
+    weights, offsets, quaternions, looks = (
+        np.zeros((len(replacements), count, *shape), np.float32) for shape in ((), (3,), (4,), (7,))
     )
     for row, replacement in enumerate(replacements):
         weights[row], offsets[row] = replacement.weights, replacement.offsets
-        if replacement.quaternions is not None:
-            quaternions[row] = replacement.quaternions
-        if replacement.colors is not None:
-            colors[row] = replacement.colors
-    turns = np.array([r.quaternions is not None for r in replacements], bool)
-    paints = np.array([r.colors is not None for r in replacements], bool)
+        quaternions[row] = replacement.quaternions
+        if replacement.looks is not None:
+            looks[row] = replacement.looks
+    paints = np.array([r.looks is not None for r in replacements], bool)
     if kept is not None:
-        weights, offsets, quaternions, colors = (
-            np.ascontiguousarray(values[:, kept]) for values in (weights, offsets, quaternions, colors)
+        weights, offsets, quaternions, looks = (
+            np.ascontiguousarray(values[:, kept]) for values in (weights, offsets, quaternions, looks)
         )
-    return weights, offsets, quaternions, colors, turns, paints
+    return weights, offsets, quaternions, looks, paints

@@ -131,14 +131,14 @@ def pose_texels(
     turn, given, coefficients, offset_bases, color_bases, form_bases, channels,
     base, limits, bounded, rest,
     first, bones, weights, matrices,
-    swap_weights, swap_offsets, swap_quaternions, swap_colors, turns, paints,
+    swap_weights, swap_offsets, swap_quaternions, swap_looks, paints,
     means, covariances, opacities, colors, points, quaternions, kept_scales,
 ):  # fmt: skip
     """See `PosedLayer.pose`. given: residual (N, 14), to which coefficients times bases are added.
 
-    limits: offset scale, least and greatest log scale; bounded: sigmoid colours; turns, paints: whether a
-    replacement has quaternions, colours. points (N, 3), quaternions (N, 4), kept_scales (N, 3): what skinning
-    began with, for `carry_texels`; not kept where they are empty.
+    limits: offset scale, least and greatest log scale; bounded: sigmoid colours; paints: whether a
+    replacement has looks. points (N, 3), quaternions (N, 4), kept_scales (N, 3): what skinning began with,
+    for `carry_texels`; not kept where they are empty.
     """
     count, keeping, point = rest.shape[0], points.shape[0] > 0, np.empty(3, np.float32)
     matrix, spread = np.empty((3, 4), np.float32), np.empty((3, 3), np.float32)
@@ -173,9 +173,11 @@ def pose_texels(
                     for k in range(3):
                         offset[k] += share * (swap_offsets[r, n, k] - offset[k])
                         if paints[r]:
-                            colors[n, k] += share * (swap_colors[r, n, k] - colors[n, k])
-                    if turns[r]:
-                        _turn_towards(quaternion, swap_quaternions[r, n], share)
+                            colors[n, k] += share * (swap_looks[r, n, k] - colors[n, k])
+                            scales[k] += share * (swap_looks[r, n, 3 + k] - scales[k])
+                    if paints[r]:
+                        opacities[n] += share * (swap_looks[r, n, 6] - opacities[n])
+                    _turn_towards(quaternion, swap_quaternions[r, n], share)
             for k in range(3):
                 point[k] = rest[n, k] + offset[k]
                 if keeping:

@@ -122,8 +122,11 @@ def _changes(outfit: Outfit) -> tuple[Replacement, ...]:
     changes = []
     if outfit.restoration is not None:
         skin = outfit.restoration
+        looks = torch.cat((skin.colors, skin.scales, skin.opacities[:, None]), dim=1)
         changes.append(
-            Replacement(skin.weights[:, 0].numpy(), skin.offsets.numpy(), colors=skin.colors.numpy())
+            Replacement(
+                skin.weights[:, 0].numpy(), skin.offsets.numpy(), skin.quaternions.numpy(), looks.numpy()
+            )
         )
     for swap in outfit.swaps:
         changes.append(

@@ -74,7 +74,14 @@ def test_fused_posing_is_the_plain_one(kind: str, swaps: int) -> None:
     skin = None
     if swaps:
         weights = torch.rand(count, 1, generator=generator)
-        skin = Restoration(weights, 0.01 * torch.randn(count, 3), torch.rand(count, 3))
+        skin = Restoration(
+            weights,
+            0.01 * torch.randn(count, 3, generator=generator),
+            torch.rand(count, 3, generator=generator),
+            torch.nn.functional.normalize(torch.randn(count, 4, generator=generator), dim=1),
+            0.01 * torch.rand(count, 3, generator=generator),
+            torch.rand(count, generator=generator),
+        )
     with torch.no_grad():
         attributes = restored(model(pose), skin)
         attributes = swapped(attributes, changes)
@@ -84,8 +91,9 @@ def test_fused_posing_is_the_plain_one(kind: str, swaps: int) -> None:
             Replacement(c.weights[:, 0].numpy(), c.offsets.numpy(), c.quaternions.numpy()) for c in changes
         ]
         if skin is not None:
-            bare = (skin.weights[:, 0].numpy(), skin.offsets.numpy())
-            replaced.insert(0, Replacement(*bare, colors=skin.colors.numpy()))
+            looks = torch.cat((skin.colors, skin.scales, skin.opacities[:, None]), dim=1).numpy()
+            form = (skin.offsets.numpy(), skin.quaternions.numpy())
+            replaced.insert(0, Replacement(skin.weights[:, 0].numpy(), *form, looks))
         PosedLayer(model, BETAS, tuple(replaced)).pose(FramePose(world, pose, BETAS), out)
     np.testing.assert_allclose(out.means, plain.means, atol=5e-6)
     # A slerp of nearly opposite quaternions is ill-conditioned; elsewhere covariances agree to rounding.

@@ -16,6 +16,7 @@ from stages.shared.outfit.outfit import outfit_of_bundles
 from stages.shared.outfit.push import CLEARANCE, plan_push, smooth_field
 from stages.shared.outfit.rebind import canonical_joints, rebound
 from stages.shared.outfit.restore import plan_restoration, restored, spread_skin
+from stages.shared.splat.api import rasterize
 from tests.shared.outfit.wardrobe import bundle, motion, worn
 
 STILL = torch.eye(4).expand(55, 4, 4)
@@ -97,7 +98,44 @@ def test_only_what_is_bare_now_is_restored() -> None:
     bare = naked.weights[:, 0] == 1
     assert torch.allclose(after.colors[bare], torch.tensor(0.25)) and (after.colors[~bare] == 0).all()
     assert torch.allclose(after.offsets[bare], torch.tensor(0.5))
-    assert after.opacities is before.opacities and restored(before, None) is before
+    assert torch.equal(after.opacities[~bare], before.opacities[~bare]) and restored(before, None) is before
+
+
+def test_bare_skin_has_no_gaps() -> None:
+    """Learned Gaussians that shrank beneath the clothes let the background through; discs do not."""
+    wearer = _wearer()
+    assert wearer.skin is not None
+    bare = wearer.skin.covered == 1
+    count = len(Y)
+    shrunk = Attributes(
+        torch.zeros(count, 3),
+        torch.tensor([1.0, 0, 0, 0]).repeat(count, 1),
+        torch.full((count, 3), 0.3 * wearer.maps.pitch),
+        torch.full((count,), 0.9),
+        torch.zeros(count, 3),
+    )
+    naked = plan_restoration(wearer, [])
+    assert naked is not None
+    naked = replace(naked, offsets=torch.zeros(count, 3))
+    assert _least_alpha(wearer, shrunk, bare) < 0.9
+    assert _least_alpha(wearer, restored(shrunk, naked), bare) > 0.98
+
+
+def _least_alpha(layer: WornLayer, attributes: Attributes, rows: torch.Tensor) -> float:
+    """The least opacity of a picture from the front, well inside the rows' own part of the tube."""
+    posed = pose_layer(layer.maps, attributes, STILL, ZERO)
+    chosen = rows & (layer.maps.normals[:, 2] > 0.5)
+    middle = posed.means[chosen].mean(dim=0)
+    pixels, focal, distance = 96, 3000.0, 3.0
+    view = torch.tensor([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]])
+    view[:3, 3] = -view[:3, :3] @ middle + torch.tensor([0.0, 0.0, distance])
+    camera = torch.tensor([[focal, 0, pixels / 2], [0, focal, pixels / 2], [0, 0, 1]])
+    front = layer.maps.normals[:, 2] > 0
+    picture = rasterize(
+        posed.means[front], None, None, posed.opacities[front], posed.colors[front], view, camera,
+        pixels, pixels, covars=posed.covariances[front],
+    )  # fmt: skip
+    return float(picture.alpha.min())
 
 
 def _posed(layer: WornLayer) -> PosedGaussians:

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.shared.capture.take import MASK_THRESHOLD
 from stages.shared.metrics.psnr import psnr
-from stages.shared.metrics.scores import MASK_THRESHOLD, Scores, ViewPair
+from stages.shared.metrics.scores import Scores, ViewPair
 from stages.shared.metrics.segmentation import GARMENT_LABELS, segmentation_scores
 from stages.shared.metrics.silhouette import iou
 from stages.shared.metrics.ssim import ssim_in_box

@@ -8,14 +8,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.evaluate.gather import around
 from stages.evaluate.methods import Method, TrainedMethod
 from stages.evaluate.views import FrameViews
+from stages.shared.capture.take import MASK_THRESHOLD
 from stages.shared.metrics.psnr import psnr
 from stages.shared.metrics.ssim import ssim_in_box
 from stages.shared.outfit.outfit import Outfit
 
 Picture = NDArray[np.uint8]
-_HEIGHT, _WIDEST, _MARGIN = 420, 440, 12  # px: of a crop as drawn, and around the subject
+_HEIGHT, _WIDEST = 420, 440  # px, of a crop as drawn
 _GAP, _STRIP = 10, 40
 _PAPER, _INK, _LETTERS = 255, 40, 0.8
 Row = tuple[str, list[Picture], list[str]]  # which view, its pictures, what is written below each
@@ -61,7 +63,7 @@ def shown_frames(frames: Sequence[FrameViews], count: int) -> list[FrameViews]:
 
 def _row(split: str, frame: FrameViews, camera: str, methods: Mapping[str, Method]) -> Row:
     truth, mask = frame.take.image(camera, frame.frame), frame.take.mask(camera, frame.frame)
-    cut, inside = _box(mask), mask > 127
+    cut, inside = around(mask), mask > MASK_THRESHOLD
     pictures, below = [_drawn(truth[cut])], [""]
     for method in methods.values():
         method.pose(frame)
@@ -79,15 +81,6 @@ def _drawn(picture: Picture) -> Picture:
     size = max(1, round(factor * picture.shape[1])), max(1, round(factor * picture.shape[0]))
     way = cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC
     return np.asarray(cv2.resize(np.ascontiguousarray(picture), size, interpolation=way), dtype=np.uint8)
-
-
-def _box(mask: NDArray[np.uint8]) -> tuple[slice, slice]:
-    """The part of the image around the mask."""
-    rows, columns = np.flatnonzero((mask > 127).any(axis=1)), np.flatnonzero((mask > 127).any(axis=0))
-    if not len(rows):
-        return slice(None), slice(None)
-    top, left = max(0, rows[0] - _MARGIN), max(0, columns[0] - _MARGIN)
-    return slice(top, rows[-1] + 1 + _MARGIN), slice(left, columns[-1] + 1 + _MARGIN)
 
 
 def _cell(picture: Picture, width: int, height: int) -> Picture:

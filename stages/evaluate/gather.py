@@ -2,19 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import functools
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.evaluate.parts import Piece, Row, replace_picture
+from stages.shared.artifacts.pictures import encode_png
 from stages.shared.capture.labels import label_picture
+from stages.shared.capture.take import MASK_THRESHOLD, box_around
 from stages.shared.losses.perceptual import Perceptual
 from stages.shared.metrics.scores import Scores, ViewPair, mean_scores, view_scores
-from stages.shared.pictures.sheet import contact_sheet, shrunk
+from stages.shared.pictures.sheet import chosen, contact_sheet, shrunk
 
-_LARGEST_SIDE = 384
+_LARGEST_SIDE, _MARGIN = 384, 12  # px: of a picture as shown, and around the subject
+
+
+class ScoredView(NamedTuple):
+    """A view to score, and what its row says of it; the scores called `unknown` mean nothing and are None."""
+
+    method: str
+    take: str
+    camera: str
+    frame: int
+    first: bool
+    view: ViewPair
+    unknown: Sequence[str] = ()
 
 
 @dataclass
@@ -67,7 +84,7 @@ def comparison(
         if labels is not None and view.prediction_labels is not None:
             wrong = np.where(_merged(view.prediction_labels) != _merged(labels), np.uint8(255), np.uint8(0))
             bottom += [label_picture(view.prediction_labels), np.repeat(wrong[..., None], 3, axis=2)]
-    cut = _box(next(iter(views.values())).mask)
+    cut = around(next(iter(views.values())).mask)
     pictures = [shrunk(np.ascontiguousarray(picture[cut]), _LARGEST_SIDE) for picture in top + bottom]
     captions += ["labels" if index == 0 or index % 2 else "wrong labels" for index in range(len(bottom))]
     return contact_sheet(pictures, len(top), captions)
@@ -78,12 +95,33 @@ def _merged(labels: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.where(labels <= 2, np.uint8(0), labels)
 
 
-def _box(mask: NDArray[np.uint8], margin: int = 12) -> tuple[slice, slice]:
-    """The part of the image around the mask."""
-    rows, columns = np.flatnonzero((mask > 127).any(axis=1)), np.flatnonzero((mask > 127).any(axis=0))
-    if not len(rows):
+def around(mask: NDArray[np.uint8]) -> tuple[slice, slice]:
+    """Rows and columns around the mask (H, W) of a picture, with a margin; all of them where it is empty."""
+    inside = mask > MASK_THRESHOLD
+    if not inside.any():
         return slice(None), slice(None)
-    return (
-        slice(max(0, rows[0] - margin), rows[-1] + 1 + margin),
-        slice(max(0, columns[0] - margin), columns[-1] + 1 + margin),
-    )
+    left, top, right, bottom = box_around(inside, _MARGIN, mask.shape[1], mask.shape[0])
+    return slice(top, bottom), slice(left, right)
+
+
+def pair_pieces(
+    split: str,
+    count: int,
+    read: Callable[[int], ScoredView],
+    perceptual: Perceptual | None,
+    pictures: int,
+) -> list[Piece]:
+    """A piece of work for each of `count` pairs; `pictures` of them leave `<split>_<n>.png`."""
+    shown = chosen(count, pictures)
+
+    def score(index: int, folder: Path) -> list[Row]:
+        scored = read(index)
+        gathered = Gathered(perceptual)
+        gathered.add(*scored)
+        if index in shown:
+            view = scored.view
+            picture = encode_png(comparison(view.truth, view.truth_labels, {scored.method: view}))
+            replace_picture(folder / f"{split}_{shown.index(index)}.png", picture)
+        return gathered.rows
+
+    return [Piece(split, functools.partial(score, index)) for index in range(count)]

@@ -11,7 +11,6 @@ Without any mask there is no foreground: its scores are null, and the whole pict
 
 from __future__ import annotations
 
-import functools
 import time
 from pathlib import Path
 from typing import Any
@@ -21,25 +20,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.evaluate.config import EvaluateConfig
-from stages.evaluate.gather import Gathered, comparison
+from stages.evaluate.gather import Gathered, ScoredView, pair_pieces
 from stages.evaluate.parts import (
-    Piece,
-    Row,
     evaluation_key,
     gathered_rows,
     part_summary,
-    replace_picture,
     score_pieces,
 )
 from stages.evaluate.result import MARK, RESULT_NAME, EvaluateResult, write_evaluation
-from stages.shared.artifacts.pictures import encode_png
 from stages.shared.capture.images import decode, read_bytes, read_mask
 from stages.shared.errors import BadData, MissingInput
 from stages.shared.losses.perceptual import Perceptual
 from stages.shared.metrics.scores import FOREGROUND_NAMES, ViewPair
 from stages.shared.pictures.folder import check_output
 from stages.shared.pictures.parts import finish, parse_share, part_folder
-from stages.shared.pictures.sheet import chosen
 from stages.shared.plan import Plan
 from stages.shared.report import SILENT, Report
 
@@ -65,7 +59,9 @@ def run(
     check_output(output, RESULT_NAME, MARK)
     pairs, covers = _opened(images, truth, masks)
     perceptual = Perceptual.load(perceptual_weights) if perceptual_weights else None
-    pieces = _pieces(pairs, covers, perceptual, config.pictures)
+    pieces = pair_pieces(
+        _SPLIT, len(pairs), lambda index: _scored(pairs[index], covers, index), perceptual, config.pictures
+    )
     files = [path for _, *both in pairs for path in both] + list((covers or {}).values())
     names = {"pictures": [name for name, *_ in pairs], "masks": list(covers or ())}
     report.step("scoring")
@@ -114,26 +110,9 @@ def _opened(
     return pairs, covers
 
 
-def _pieces(
-    pairs: list[tuple[str, Path, Path]],
-    covers: dict[str, Path] | None,
-    perceptual: Perceptual | None,
-    pictures: int,
-) -> list[Piece]:
-    """Every pair is a piece of work; `pictures` of them leave `images_<n>.png`."""
-    shown = chosen(len(pairs), pictures)
-
-    def score(index: int, folder: Path) -> list[Row]:
-        name, predicted, true = pairs[index]
-        view, has_mask = _view(name, predicted, true, covers)
-        gathered = Gathered(perceptual)
-        gathered.add("images", "", name, index, False, view, () if has_mask else FOREGROUND_NAMES)
-        if index in shown:
-            picture = encode_png(comparison(view.truth, None, {"images": view}))
-            replace_picture(folder / f"{_SPLIT}_{shown.index(index)}.png", picture)
-        return gathered.rows
-
-    return [Piece(_SPLIT, functools.partial(score, index)) for index in range(len(pairs))]
+def _scored(pair: tuple[str, Path, Path], covers: dict[str, Path] | None, index: int) -> ScoredView:
+    view, has_mask = _view(*pair, covers)
+    return ScoredView("images", "", pair[0], index, False, view, () if has_mask else FOREGROUND_NAMES)
 
 
 def pictures_of(folder: Path) -> dict[str, Path]:

@@ -10,7 +10,6 @@ Writes, into the output folder:
 
 from __future__ import annotations
 
-import functools
 import time
 from pathlib import Path
 from typing import Any
@@ -19,19 +18,15 @@ import cv2
 import numpy as np
 
 from stages.evaluate.config import EvaluateConfig
-from stages.evaluate.gather import Gathered, comparison
+from stages.evaluate.gather import Gathered, ScoredView, pair_pieces
 from stages.evaluate.parts import (
-    Piece,
-    Row,
     evaluation_key,
     gathered_rows,
     part_summary,
-    replace_picture,
     score_pieces,
 )
 from stages.evaluate.result import MARK, RESULT_NAME, EvaluateResult, write_evaluation
 from stages.shared.artifacts.canonical import strict_json
-from stages.shared.artifacts.pictures import encode_png
 from stages.shared.capture import Take, open_capture
 from stages.shared.capture.images import decode, read_bytes
 from stages.shared.capture.labels import read_labels
@@ -41,7 +36,6 @@ from stages.shared.metrics.scores import ViewPair
 from stages.shared.outfit.sources import capture_take
 from stages.shared.pictures.folder import check_output
 from stages.shared.pictures.parts import finish, parse_share, part_folder
-from stages.shared.pictures.sheet import chosen
 from stages.shared.plan import Plan
 from stages.shared.report import SILENT, Report
 
@@ -65,7 +59,13 @@ def run(
     check_output(output, RESULT_NAME, MARK)
     shown, take, pairs = _opened(frames, truth)
     perceptual = Perceptual.load(perceptual_weights) if perceptual_weights else None
-    pieces = _pieces(frames, take, pairs, shown["frames"][0], perceptual, config.pictures)
+
+    def scored(index: int) -> ScoredView:
+        row, camera = pairs[index]
+        view = _pair(frames, take, camera, row)
+        return ScoredView("tryon", take.name, camera, row, row == shown["frames"][0], view)
+
+    pieces = pair_pieces(_SPLIT, len(pairs), scored, perceptual, config.pictures)
     files = [path for row, camera in pairs for path in _files(frames, take, camera, row)]
     report.step("scoring")
     key = evaluation_key(config, {"take": take.name, "pairs": pairs}, files, perceptual_weights)
@@ -115,30 +115,6 @@ def _opened(frames: Path, truth: Path) -> tuple[dict[str, Any], Take, list[tuple
             f"Render with the capture's cameras: gw render … --cameras {truth}.",
         )
     return shown, take, pairs
-
-
-def _pieces(
-    frames: Path,
-    take: Take,
-    pairs: list[tuple[int, str]],
-    first: int,
-    perceptual: Perceptual | None,
-    pictures: int,
-) -> list[Piece]:
-    """Every pair is a piece; `pictures` of them leave `tryon_truth_<n>.png`. first: row of the motion."""
-    shown = chosen(len(pairs), pictures)
-
-    def score(index: int, folder: Path) -> list[Row]:
-        row, camera = pairs[index]
-        view = _pair(frames, take, camera, row)
-        gathered = Gathered(perceptual)
-        gathered.add("tryon", take.name, camera, row, row == first, view)
-        if index in shown:
-            picture = encode_png(comparison(view.truth, view.truth_labels, {"tryon": view}))
-            replace_picture(folder / f"{_SPLIT}_{shown.index(index)}.png", picture)
-        return gathered.rows
-
-    return [Piece(_SPLIT, functools.partial(score, index)) for index in range(len(pairs))]
 
 
 def _files(frames: Path, take: Take, camera: str, row: int) -> list[Path]:

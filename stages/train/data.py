@@ -19,6 +19,7 @@ from torch import Tensor
 
 from stages.shared.body import BodyModel, Poses, posed_vertices
 from stages.shared.capture import NO_LABEL, Camera
+from stages.shared.capture.take import MASK_THRESHOLD
 from stages.shared.errors import MissingInput
 from stages.train.ahead import Ahead
 from stages.train.footage import Footage
@@ -27,7 +28,6 @@ from stages.train.outline import mesh_outline
 from stages.train.window import Window
 
 _BACKGROUND, _UNKNOWN = 250, 255
-_MASK_THRESHOLD = 127
 _MARGIN = 8
 KEPT_BYTES = 1 << 30  # of decoded crops
 KEPT_BYTES_PER_PIXEL = 6  # image 3, mask, layer, outline
@@ -132,11 +132,11 @@ class TrainingViews:
         image: NDArray[Any] = crop.image
         layer: NDArray[Any] = crop.layer
         outline: NDArray[Any] = crop.outline.astype(np.float32)
-        inside = crop.mask > _MASK_THRESHOLD
+        inside = crop.mask > MASK_THRESHOLD
         if scale != 1.0:
             image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
             outline = cv2.resize(outline, size, interpolation=cv2.INTER_AREA)
-            inside = cv2.resize(crop.mask, size, interpolation=cv2.INTER_AREA) > _MASK_THRESHOLD
+            inside = cv2.resize(crop.mask, size, interpolation=cv2.INTER_AREA) > MASK_THRESHOLD
             layer = cv2.resize(layer, size, interpolation=cv2.INTER_NEAREST)
         valid = _edge(inside) == 0
         if window is not None:
@@ -187,7 +187,7 @@ class TrainingViews:
             labels = labels[inside]
             layer = self._layer_of_id[labels]
             layer[labels == NO_LABEL] = _UNKNOWN
-        layer[mask <= _MASK_THRESHOLD] = _BACKGROUND
+        layer[mask <= MASK_THRESHOLD] = _BACKGROUND
         outline = mesh_outline(self._body_vertices(frame), self.body.faces, seen_by)
         if "body" in self.layers:  # hair and shoes are part of the body, but not of the body model
             outline |= layer == self.layers.index("body")

@@ -21,7 +21,7 @@ from stages.shared.meshes.mesh import Mesh
 
 Split = Literal["train", "test"]
 GROUPS: Final = ("cameras", "poses", "images", "masks", "labels", "scan", "body")
-MASK_THRESHOLD: Final = 127
+MASK_THRESHOLD: Final = 127  # coverage 0..255 above which a pixel shows the person
 _Image = NDArray[np.uint8]
 
 

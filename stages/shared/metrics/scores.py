@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from stages.shared.capture.take import MASK_THRESHOLD
 from stages.shared.losses.crops import mask_box, square_crop
 from stages.shared.losses.perceptual import Perceptual
 from stages.shared.metrics.flip import flip
@@ -21,7 +22,6 @@ from stages.shared.metrics.ssim import ssim, ssim_in_box
 
 Scores = dict[str, float | None]
 Labels = NDArray[np.uint8]
-MASK_THRESHOLD = 127
 _LPIPS_SIDE, _LPIPS_MARGIN = 512, 50  # pixels, as published avatars are scored
 _SMALLEST_REGION = 50  # pixels; smaller regions say nothing
 _REGIONS = {"upper": (3,), "lower": (4,), "outer": (5,), "rest": (0, 1, 2)}

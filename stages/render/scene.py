@@ -15,7 +15,8 @@ from stages.shared.capture import Take, open_capture
 from stages.shared.errors import MissingInput, UsageProblem
 from stages.shared.outfit.grounding import grounded
 from stages.shared.outfit.outfit import Outfit, outfit_of_bundles, outfit_of_training
-from stages.shared.outfit.reel import ReelFrame, reel_key
+from stages.shared.outfit.reel import reel_key
+from stages.shared.outfit.reel_config import ReelFrame
 from stages.shared.outfit.sources import (
     capture_frames,
     capture_take,

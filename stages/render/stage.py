@@ -26,7 +26,8 @@ from stages.shared.errors import UsageProblem
 from stages.shared.export.splats import check_formats
 from stages.shared.outfit.penetration import TRYON_MARGINS, PenetrationConfig
 from stages.shared.outfit.picture import CutOffs
-from stages.shared.outfit.reel import ReelConfig, check_passes, close_reel, write_frames
+from stages.shared.outfit.reel import close_reel, write_frames
+from stages.shared.outfit.reel_config import ReelConfig, check_passes
 from stages.shared.pictures.background import read_background
 from stages.shared.pictures.folder import check_output
 from stages.shared.pictures.parts import finish, parse_share, part_folder

@@ -22,7 +22,8 @@ from stages.shared.outfit.grounding import grounded
 from stages.shared.outfit.outfit import Outfit, outfit_of_bundles
 from stages.shared.outfit.penetration import TRYON_MARGINS
 from stages.shared.outfit.picture import CutOffs
-from stages.shared.outfit.reel import ReelConfig, ReelFrame, check_passes, close_reel, reel_key, write_frames
+from stages.shared.outfit.reel import close_reel, reel_key, write_frames
+from stages.shared.outfit.reel_config import ReelConfig, ReelFrame, check_passes
 from stages.shared.outfit.sources import parse_betas, parse_frames, read_bundles
 from stages.shared.outfit.viewpoints import viewpoint_cameras
 from stages.shared.pictures.background import read_background

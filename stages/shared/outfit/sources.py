@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from stages.shared.artifacts.bundle import Bundle, read_bundle
 from stages.shared.capture import Capture, Take
 from stages.shared.errors import MissingInput, UsageProblem
-from stages.shared.outfit.reel import ReelFrame
+from stages.shared.outfit.reel_config import ReelFrame
 
 
 def read_bundles(paths: Sequence[Path]) -> list[tuple[str, Bundle]]:

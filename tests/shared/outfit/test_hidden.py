@@ -16,7 +16,7 @@ from stages.shared.outfit.outfit import Outfit, outfit_of_bundles
 from stages.shared.outfit.penetration import PenetrationConfig
 from stages.shared.outfit.picture import take_picture
 from stages.shared.outfit.player import Player
-from stages.shared.outfit.reel import ReelConfig, ReelFrame
+from stages.shared.outfit.reel_config import ReelConfig, ReelFrame
 from stages.shared.report import SILENT
 from tests.shared.avatar.test_blendshapes import CONFIG as BLENDSHAPES
 from tests.shared.outfit.wardrobe import bundle, cameras, motion, outfit, worn

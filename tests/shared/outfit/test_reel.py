@@ -15,7 +15,8 @@ from stages.shared.errors import StorageFailure
 from stages.shared.outfit import reel
 from stages.shared.outfit.outfit import outfit_of_bundles
 from stages.shared.outfit.player import Player
-from stages.shared.outfit.reel import ReelConfig, ReelFrame, close_reel, write_frames
+from stages.shared.outfit.reel import close_reel, write_frames
+from stages.shared.outfit.reel_config import ReelConfig, ReelFrame
 from stages.shared.pictures.parts import RECORDS, Share
 from tests.shared.outfit.wardrobe import bundle, cameras, motion, worn
 

@@ -8,7 +8,8 @@ from stages.shared.errors import UsageProblem
 from stages.train.config import TrainConfig
 
 # Terms of the loss that each name switches off; sg, reg and pe are the published ablation (Gaussian Wardrobe,
-# table of the ablation: without segmentation, regularisation, penetration).
+# table of the ablation: without segmentation, regularisation, penetration). What is left out is left out
+# wherever it works: tracking knows labels and collisions too.
 _TERMS: dict[str, tuple[str, ...]] = {
     "sg": ("label",),
     "reg": ("offset", "smooth", "opacity", "seam", "covered_skin"),
@@ -19,9 +20,9 @@ _TERMS: dict[str, tuple[str, ...]] = {
     "flow": ("flow",),
 }
 PARTS: dict[str, str] = {
-    "sg": "the label loss (segmentation)",
+    "sg": "segmentation: the label loss, and labels in tracking",
     "reg": "what keeps Gaussians tidy: offset, smoothing, seam, body opacity, covered skin",
-    "pe": "the penetration loss between layers",
+    "pe": "penetration: the loss between layers, and collisions in tracking",
     "bs": "the body's silhouette",
     "ssim": "SSIM of the pictures",
     "lpips": "LPIPS of subject and face",
@@ -59,6 +60,10 @@ def ablated(config: TrainConfig) -> TrainConfig:
         model = replace(model, history=0)
     if "tracking" in config.without:
         config = replace(config, track=replace(config.track, frame_step=0))
+    if "sg" in config.without:
+        config = replace(config, track=replace(config.track, labels=False))
+    if "pe" in config.without:
+        config = replace(config, track=replace(config.track, collision=0.0))
     if "prior" in config.without:
         model = replace(model, pose_prior=0)
     if "base" in config.without:

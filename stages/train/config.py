@@ -60,6 +60,8 @@ class TrackConfig:
         bending, stretch, inertia: weights of smoothness (second and first differences) and of staying where
             the last frame was, against one trusted pixel of one texel. collision: weight of keeping cloth
             outside the body it would otherwise be followed into; 0 lets it.
+        labels: label images help: each label has grey levels of its own, and cloth is followed into its own
+            label only.
     """
 
     frame_step: int = 0
@@ -70,6 +72,7 @@ class TrackConfig:
     stretch: float = 0.5
     inertia: float = 0.3
     collision: float = 0.0
+    labels: bool = field(default=True, metadata={"said_if_set": True})
 
 
 @dataclass(frozen=True)

@@ -38,11 +38,16 @@ class Motion:
     tensor: Floats
 
 
-def grey_picture(color: Tensor, labels: Tensor) -> NDArray[np.uint8]:
-    """(H, W) u8: texture (H, W, 3), and one-hot labels (H, W, L) as plateaus of their own, black outside."""
-    count = labels.shape[2]
-    levels = np.linspace(1.0 / count, 1.0, count, dtype=np.float32)
-    grey = _TEXTURE * (color.cpu().numpy() @ _LUMA) + (1 - _TEXTURE) * (labels.cpu().numpy() @ levels)
+def grey_picture(color: Tensor, labels: Tensor | None) -> NDArray[np.uint8]:
+    """(H, W) u8: texture (H, W, 3), and one-hot labels (H, W, L) as plateaus of their own, black outside.
+
+    Without labels it is the texture alone.
+    """
+    grey = color.cpu().numpy() @ _LUMA
+    if labels is not None:
+        count = labels.shape[2]
+        levels = np.linspace(1.0 / count, 1.0, count, dtype=np.float32)
+        grey = _TEXTURE * grey + (1 - _TEXTURE) * (labels.cpu().numpy() @ levels)
     return np.ascontiguousarray((np.clip(grey, 0.0, 1.0) * 255).astype(np.uint8))
 
 

@@ -130,8 +130,9 @@ class Tracker:
         means = composite.means.double().cpu().numpy()
         for view in views:
             picture = render(composite, view.camera)
-            truth = grey_picture(view.image * view.inside[..., None], view.labels)
-            seen = motion(grey_picture(picture.color, picture.labels), truth, fine)
+            shown, wanted = (picture.labels, view.labels) if self.config.labels else (None, None)
+            truth = grey_picture(view.image * view.inside[..., None], wanted)
+            seen = motion(grey_picture(picture.color, shown), truth, fine)
             if seen is None:
                 continue
             depth = picture.depth.double().cpu().numpy()
@@ -143,7 +144,7 @@ class Tracker:
                     view.camera,
                     depth,
                     picture.labels[..., channel].cpu().numpy() > 0.5,
-                    view.labels[..., channel].numpy() > 0.5,
+                    (view.inside if wanted is None else wanted[..., channel]).numpy() > 0.5,
                     seen,
                     _PER_METRE,
                 )

@@ -146,6 +146,8 @@ def test_every_part_switches_something_off_and_nothing_else() -> None:
         gone |= off
     assert gone == terms - {"l1"}
     assert ablated(full) == full
+    assert not ablated(replace(full, without=("sg",))).track.labels
+    assert full.track.collision and not ablated(replace(full, without=("pe",))).track.collision
 
 
 def test_ablation_is_in_the_key_and_silences_the_term(tmp_path: Path) -> None:

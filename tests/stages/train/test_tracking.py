@@ -22,6 +22,7 @@ from stages.train.cells import Cells
 from stages.train.config import TrackConfig
 from stages.train.cost import affordable_tracking
 from stages.train.displacement import Equations, motion
+from stages.train.footage import Footage
 from stages.train.solve import conjugate_gradients
 from stages.train.tracking import Tracker
 from tests.shared.avatar.tubes import CENTRE, GRID, PITCH, tube_arrays
@@ -137,6 +138,33 @@ def test_tracked_run_resumes_to_the_bit_wherever_it_stops(
             assert np.array_equal(again.artifact.arrays(layer)[name], values), name
     offsets = straight.artifact.arrays("upper")["anchors.offsets"]
     assert len(offsets) == 4 and np.isfinite(offsets).all() and np.abs(offsets[3]).max() > 1e-4
+
+
+def test_without_segmentation_no_label_image_is_learned_from(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Label images with layers exchanged change what is learned, unless segmentation is left out.
+
+    The body's silhouette has hair and shoes from the labels, so it is left out of both.
+    """
+    subject, labels = make_subject(tmp_path), Footage.labels
+
+    def learned(parts: tuple[str, ...]) -> dict[str, np.ndarray]:
+        config = tiny(steps=2, track=_TRACK, without=parts)
+        return stage.run(subject, config, force=True).artifact.arrays("upper")
+
+    before = {parts: learned(parts) for parts in (("bs",), ("bs", "sg"))}
+
+    def exchanged(self: Footage, camera: str, frame: int) -> np.ndarray:
+        found = labels(self, camera, frame)
+        assert found is not None
+        return np.where(found == 0, 3, np.where(found == 3, 0, found)).astype(np.uint8)
+
+    monkeypatch.setattr(Footage, "labels", exchanged)
+    for parts, arrays in before.items():
+        after = learned(parts)
+        same = all(np.array_equal(values, after[name]) for name, values in arrays.items())
+        assert same is ("sg" in parts)
 
 
 def test_tracking_replaces_small_pictures_and_flow() -> None:

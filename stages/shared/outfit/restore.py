@@ -12,15 +12,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import roma
 import torch
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import cg
 from torch import Tensor
+from torch.nn import functional
 
 from stages.shared.avatar.deform import Attributes
 from stages.shared.avatar.maps import LayerMaps
-from stages.shared.avatar.texel_attributes import z_to
 from stages.shared.losses.covered_skin import hand_texels
 from stages.shared.outfit.coverage import FEATHER, covered_weights, same_grid
 from stages.shared.outfit.layer import Skin, WornLayer
@@ -29,9 +30,11 @@ from stages.shared.outfit.swap import slerp
 _LIKE_SKIN = 0.25  # distance in sRGB from the colour of the hands; hair and shoes are farther
 _LARGEST = 0.01  # m, of the height over the template that is carried on
 _PULL = 1e-3  # towards the mean, where no seen skin is linked
-_COVER = 1.5  # disc radius in first sizes (0.6 of the spacing): four discs around a gap hide 97 % of it
-_FLATNESS = 0.3  # of a disc
+_COVER = 0.75  # standard deviation of a disc per distance to its neighbours; hides 98 % of what is between
+_LONGEST = 2.0  # pitches; at the rim of a limb, longer discs would stand out from it
+_FLATNESS = 0.3
 _OPACITY = 0.97
+
 
 Floats = NDArray[np.float32]
 
@@ -77,7 +80,7 @@ def spread_skin(
     plain = colors.numpy()
     skin = np.median(plain[hands], axis=0)
     known = seen & (np.linalg.norm(plain - skin, axis=1) < _LIKE_SKIN)
-    normals = torch.nn.functional.normalize(maps.normals, dim=1).numpy()
+    normals = functional.normalize(maps.normals, dim=1).numpy()
     height = np.clip(np.einsum("nk,nk->n", offsets.numpy(), normals), -_LARGEST, _LARGEST)
     values = np.concatenate([plain, height[:, None]], axis=1)
     filled = _spread(maps, values, known, seen & ~known, np.append(skin, np.median(height[known])))
@@ -117,9 +120,36 @@ def restored(attributes: Attributes, restoration: Restoration | None) -> Attribu
 
 
 def _discs(maps: LayerMaps) -> tuple[Tensor, Tensor, Tensor]:
-    """Quaternions (N, 4), scales (N, 3) m and opacities (N,) of discs that cover the surface they lie in."""
-    scales = _COVER * maps.spacing[:, None] * maps.spacing.new_tensor([1.0, 1.0, _FLATNESS])
-    return z_to(maps.normals), scales, torch.full_like(maps.spacing, _OPACITY)
+    """Quaternions (N, 4), scales (N, 3) m and opacities (N,) of discs that cover the surface they lie in.
+
+    Texels stand a pitch apart on the map, hence farther apart down a slope of the surface: a disc is as wide
+    and as long as its neighbours are far that way.
+    """
+    normals = functional.normalize(maps.normals, dim=1)
+    down = normals.new_tensor([0.0, 0.0, 1.0]) - normals[:, 2:] * normals
+    flat = down.norm(dim=1, keepdim=True) < 1e-3  # facing front or back: any direction will do
+    down = functional.normalize(torch.where(flat, normals.new_tensor([1.0, 0.0, 0.0]), down), dim=1)
+    across = functional.normalize(torch.linalg.cross(normals, down), dim=1)
+    axes = torch.stack((torch.linalg.cross(across, normals), across, normals), dim=2)
+    first, second = (torch.from_numpy(end) for end in _links(maps))
+    away = ((maps.positions[second] - maps.positions[first])[:, None] @ axes[first, :, :2])[:, 0].abs()
+    ahead = functional.one_hot(away.argmax(dim=1), 2) * (away > 0)  # the axis that a neighbour lies on
+    count = away.new_zeros(len(maps), 2).index_add(0, first, ahead.to(away))
+    total = away.new_zeros(len(maps), 2).index_add(0, first, ahead * away)
+    spacing = torch.where(count > 0, total / count.clamp(min=1), maps.pitch).clamp(max=_LONGEST * maps.pitch)
+    thickness = _FLATNESS * spacing.min(dim=1, keepdim=True).values
+    quaternions = roma.rotmat_to_unitquat(axes)[:, [3, 0, 1, 2]]
+    scales = _COVER * torch.cat((spacing, thickness), dim=1)
+    return quaternions, scales, torch.full_like(maps.spacing, _OPACITY)
+
+
+def _links(maps: LayerMaps) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Pairs of texels that meet, on the map or along a seam: every pair both ways."""
+    neighbours, seams = maps.neighbours.numpy(), maps.seams.numpy()
+    start, side = np.nonzero(neighbours >= 0)
+    first = np.concatenate([start, seams[:, 0], seams[:, 1]])
+    second = np.concatenate([neighbours[start, side], seams[:, 1], seams[:, 0]])
+    return first, second
 
 
 def _spread(
@@ -130,10 +160,7 @@ def _spread(
     Arguments:
         apart: texels that give nothing and take nothing, as shoes. mean: (C,) what is far from all known.
     """
-    neighbours, seams = maps.neighbours.numpy(), maps.seams.numpy()
-    start, side = np.nonzero(neighbours >= 0)
-    first = np.concatenate([start, seams[:, 0], seams[:, 1]])
-    second = np.concatenate([neighbours[start, side], seams[:, 1], seams[:, 0]])
+    first, second = _links(maps)
     linked = ~apart[first] & ~apart[second]
     first, second = first[linked], second[linked]
     count = len(maps)

@@ -24,8 +24,8 @@ from stages.shared.finite import finite
 # Below this squared angle the series is exact to the last bit of float64 (next term θ⁶/5040).
 _SMALL_ANGLE_SQUARED = 1e-4
 _LARGEST_BETA = 1e6
-# Beyond a turn and a bit, the angle's own rounding in float32 would show in its sine.
-_LARGE_ANGLE_SQUARED = 64.0
+# Well beyond half a turn, the angle's own rounding in float32 would show in its sine and in the gradient.
+_LARGE_ANGLE_SQUARED = 12.0
 
 
 def rotation_matrices(axis_angle: Tensor) -> Tensor:

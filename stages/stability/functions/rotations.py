@@ -48,7 +48,7 @@ ROTATIONS = (
     Function(
         "rotation_matrices", "rotations", "angle, rad", _ANGLES, _axis_angle,
         lambda a: kinematics.rotation_matrices(a["axis_angle"]),
-        everyday=(0.0, 1e6), tolerance=2e-6, gradients=("axis_angle",), gradient_tolerance=3e-5,
+        everyday=(0.0, 1e6), tolerance=2e-6, gradients=("axis_angle",), gradient_tolerance=1e-5,
         bfloat16=True,
     ),
     Function(

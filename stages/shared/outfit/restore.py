@@ -35,7 +35,6 @@ _LONGEST = 2.0  # pitches; at the rim of a limb, longer discs would stand out fr
 _FLATNESS = 0.3
 _OPACITY = 0.97
 
-
 Floats = NDArray[np.float32]
 
 

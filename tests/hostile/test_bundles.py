@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import struct
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -44,10 +43,8 @@ def _joined(header: Header | bytes, data: bytes) -> bytes:
 
 def _refused(data: bytes, path: Path) -> str:
     path.write_bytes(data)
-    started = time.monotonic()
     with pytest.raises(BadData) as caught:
         read_bundle(path)
-    assert time.monotonic() - started < 2
     assert str(path) in caught.value.where
     return caught.value.what
 

@@ -41,7 +41,6 @@ def test_spoiled_files(tmp_path: Path) -> None:
     assert set(found) == set(READERS)
     for name, counts in found.items():
         assert counts["runs"] == CI_RUNS and counts["refused"] > CI_RUNS // 20, name
-        assert counts["slowest_seconds"] < 2, name
 
 
 @pytest.mark.parametrize("name", READERS)

@@ -71,10 +71,10 @@ def test_the_loser_is_refused_without_waiting_and_readers_go_on(
     try:
         assert holder.stdout is not None
         assert [holder.stdout.readline(), holder.stdout.readline()] == ["ready\n", "holding\n"]
-        with pytest.raises(Locked, match=f"Process {holder.pid} on host {socket.gethostname()}") as caught:
-            with monkeypatch.context() as patched:
-                patched.setattr(time, "sleep", lambda seconds: pytest.fail("a refused writer waited"))
-                Workspace(subject).save_settings(more=1)
+        owner = f"Process {holder.pid} on host {socket.gethostname()}"
+        with monkeypatch.context() as patched, pytest.raises(Locked, match=owner) as caught:
+            patched.setattr(time, "sleep", lambda seconds: pytest.fail("a refused writer waited"))
+            Workspace(subject).save_settings(more=1)
         assert caught.value.exit_code == 75 and caught.value.where == str(subject / ".lock")
         assert run(subject, crash_capture)[:2] == undisturbed[0]
         assert verify(Workspace(subject)).damaged == []

@@ -125,7 +125,7 @@ def register(app: typer.Typer) -> None:
         the parts together (and renders what is missing).
         """
         from stages.render import page, stage
-        from stages.render.config import PRESETS
+        from stages.shared.render_sequence.config import PRESETS
 
         console = Console(as_json)
         base = preset_config(PRESETS, preset)

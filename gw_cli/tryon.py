@@ -120,8 +120,8 @@ def register(app: typer.Typer) -> None:
         A run that was killed goes on where it was. On many machines: the same command with --shard 1/4 to
         --shard 4/4 into the same -o, and then once without --shard, which puts the parts together.
         """
+        from stages.shared.render_sequence.config import PRESETS
         from stages.tryon import stage
-        from stages.tryon.config import PRESETS
 
         console = Console(as_json)
         chosen: dict[str, Any] = {}

@@ -35,10 +35,11 @@ from stages.shared.outfit.layer import label_of
 from stages.shared.outfit.outfit import outfit_of_bundles
 from stages.shared.outfit.penetration import TRYON_MARGINS
 from stages.shared.outfit.picture import take_picture
-from stages.shared.outfit.sources import capture_frames, capture_take, read_bundles
+from stages.shared.outfit.sources import capture_take, read_bundles
 from stages.shared.pictures.folder import check_output, output_folder
 from stages.shared.pictures.sheet import chosen, contact_sheet, shrunk
 from stages.shared.poses.read import load_poses
+from stages.shared.render_sequence.sequence import capture_frames
 from stages.shared.report import SILENT, Report
 
 MARK = "gw-bench-tryon"

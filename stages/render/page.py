@@ -15,12 +15,12 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from stages.render.config import RenderConfig
-from stages.render.scene import Scene, open_scene
 from stages.shared.artifacts import write_whole
 from stages.shared.errors import UsageProblem
 from stages.shared.pictures.background import read_background
 from stages.shared.plan import Plan
+from stages.shared.render_sequence.config import RenderConfig
+from stages.shared.render_sequence.sequence import RenderSequence, open_sequence
 from stages.shared.report import SILENT, Report
 from stages.shared.targets import check_file_target
 from stages.shared.web.pack import pack_gaussians
@@ -98,10 +98,10 @@ def turntable(packed: bytes, start: dict[str, object], background: str, title: s
 
 def _open(
     sources: Sequence[Path], poses_path: Path | None, cameras_path: Path | None, config: RenderConfig
-) -> Scene:
+) -> RenderSequence:
     """The scene, with a camera that stands still where the configuration names none."""
     orbiting = replace(config, camera="static") if config.camera == "orbit" else config
-    return open_scene(sources, poses_path, cameras_path, orbiting)
+    return open_sequence(sources, poses_path, cameras_path, orbiting)
 
 
 def _checked(output: Path, config: RenderConfig) -> str:

@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stages.render.camera_path import path_cameras
 from stages.shared.capture import native_writer, open_capture
 from stages.shared.capture.native import read_cameras
 from stages.shared.poses import load_poses
+from stages.shared.render_sequence.camera_path import path_cameras
 from tests.docs.pages import PAGES, REPOSITORY, blocks
 from tests.docs.world import SMALL, furnish, name_of, parts, run
 from tests.shared.outfit.wardrobe import motion

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from stages.shared.artifacts.bundle import Bundle, read_bundle
 from stages.shared.capture import Capture, Take
-from stages.shared.errors import MissingInput, UsageProblem
-from stages.shared.outfit.reel_config import ReelFrame
+from stages.shared.errors import UsageProblem
 
 
 def read_bundles(paths: Sequence[Path]) -> list[tuple[str, Bundle]]:
@@ -70,19 +69,3 @@ def capture_take(capture: Capture, name: str | None) -> Take:
         str(capture.root),
         "Choose one with --take: " + ", ".join(take.name for take in capture.takes) + ".",
     )
-
-
-def capture_frames(take: Take, rows: Sequence[int] | None = None) -> list[ReelFrame]:
-    """The frames of a take that have images, each with the cameras that saw it.
-
-    Raises:
-        MissingInput: the take has no images among `rows`.
-    """
-    wanted = take.frames if rows is None else [frame for frame in take.frames if frame in set(rows)]
-    frames = [
-        ReelFrame(frame, tuple(c for name, c in take.cameras.items() if take.has_image(name, frame)))
-        for frame in wanted
-    ]
-    if not frames:
-        raise MissingInput("The take has no images of these frames.", take.name, "Choose other frames.")
-    return frames

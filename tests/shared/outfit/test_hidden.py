@@ -10,13 +10,13 @@ import pytest
 import torch
 
 from stages.shared.outfit import hidden as hidden_module
-from stages.shared.outfit import reel
 from stages.shared.outfit.hidden import contributions, deep_beneath, plan_hidden, spread
 from stages.shared.outfit.outfit import Outfit, outfit_of_bundles
 from stages.shared.outfit.penetration import PenetrationConfig
 from stages.shared.outfit.picture import take_picture
 from stages.shared.outfit.player import Player
-from stages.shared.outfit.reel_config import ReelConfig, ReelFrame
+from stages.shared.render_sequence import frames as sequence_frames
+from stages.shared.render_sequence.outputs import SequenceFrame, SequenceOutputs
 from stages.shared.report import SILENT
 from tests.shared.avatar.test_blendshapes import CONFIG as BLENDSHAPES
 from tests.shared.outfit.wardrobe import bundle, cameras, motion, outfit, worn
@@ -129,19 +129,19 @@ def test_films_use_it_where_it_pays(
     dressed: Outfit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, changes: dict, expected: bool
 ) -> None:
     drawn: list[int] = []
-    genuine = reel.take_picture
+    genuine = sequence_frames.take_picture
 
     def counted(composite: object, *rest: object, **options: object) -> object:
         drawn.append(len(composite.means))  # type: ignore[attr-defined]
         return genuine(composite, *rest, **options)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(reel, "take_picture", counted)
-    frames = [ReelFrame(row, (cameras()[0],)) for row in (0, 4)]
-    config = replace(ReelConfig(), **changes)
-    reel.write_frames(tmp_path / "short", dressed, POSES, frames, config, SILENT)
+    monkeypatch.setattr(sequence_frames, "take_picture", counted)
+    frames = [SequenceFrame(row, (cameras()[0],)) for row in (0, 4)]
+    config = replace(SequenceOutputs(), **changes)
+    sequence_frames.write_frames(tmp_path / "short", dressed, POSES, frames, config, SILENT)
     assert set(drawn) == {dressed.gaussians}, "planning would take longer than the film"
-    monkeypatch.setattr(reel, "LEAST_PICTURES", 2)
+    monkeypatch.setattr(sequence_frames, "LEAST_PICTURES", 2)
     monkeypatch.setattr(hidden_module, "MOST_POSES", 2)
     drawn.clear()
-    reel.write_frames(tmp_path / "long", dressed, POSES, frames, config, SILENT)
+    sequence_frames.write_frames(tmp_path / "long", dressed, POSES, frames, config, SILENT)
     assert len(drawn) == 2 and (max(drawn) < dressed.gaussians) == expected

@@ -18,10 +18,10 @@ from stages.evaluate.baseline import Baseline
 from stages.evaluate.config import EvaluateConfig
 from stages.pipeline import BAKE_MAPS, REGISTER_TEMPLATE, SEGMENT_LAYERS, TRAIN
 from stages.render import stage as render
-from stages.render.config import RenderConfig
 from stages.shared.artifacts import Workspace
 from stages.shared.body import BodyModel
 from stages.shared.errors import MissingInput, UsageProblem
+from stages.shared.render_sequence.config import RenderConfig
 from tests.shared.outfit.wardrobe import SHIFT, cameras, make_subject, motion, worn
 
 EXPECTED_PSNR = 20 * math.log10(255 / SHIFT)

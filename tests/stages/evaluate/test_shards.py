@@ -16,8 +16,8 @@ from gw_cli.app import app
 from stages.evaluate import images, stage, truth
 from stages.evaluate.config import EvaluateConfig
 from stages.render import stage as render
-from stages.render.config import RenderConfig
 from stages.shared.errors import BadData, UsageProblem
+from stages.shared.render_sequence.config import RenderConfig
 from tests.listening import Listener
 
 CONFIG = EvaluateConfig(frame_step=2, test_frame_step=2, cameras=1, pictures=2, supersampling=1)

@@ -13,12 +13,12 @@ from typer.testing import CliRunner
 
 from gw_cli.app import app
 from stages.render import stage
-from stages.render.camera_path import path_cameras
-from stages.render.config import RenderConfig
 from stages.shared.body import embedded_body
 from stages.shared.errors import BadData, MissingInput, UsageProblem
 from stages.shared.export.splats import read_splats
 from stages.shared.outfit.grounding import grounded
+from stages.shared.render_sequence.camera_path import path_cameras
+from stages.shared.render_sequence.config import RenderConfig
 from tests.shared.outfit.wardrobe import cameras, motion, outfit
 
 SMALL = RenderConfig(width=48, height=64)

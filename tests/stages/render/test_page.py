@@ -14,10 +14,10 @@ from typer.testing import CliRunner
 
 from gw_cli.app import app
 from stages.render import page
-from stages.render.config import RenderConfig
 from stages.shared.capture.camera import Camera
 from stages.shared.errors import UsageProblem
 from stages.shared.outfit.picture import take_picture
+from stages.shared.render_sequence.config import RenderConfig
 from tests.browser import browser_page
 from tests.shared.outfit.wardrobe import cameras, motion, outfit
 

@@ -12,10 +12,10 @@ from typer.testing import CliRunner
 
 from gw_cli.app import app
 from stages.render import stage
-from stages.render.config import RenderConfig
 from stages.shared.errors import MissingInput, UsageProblem
 from stages.shared.outfit.picture import take_picture
 from stages.shared.outfit.player import Player
+from stages.shared.render_sequence.config import RenderConfig
 from tests.shared.outfit.wardrobe import cameras, motion, outfit
 
 SMALL = RenderConfig(width=48, height=64, frames="0:2")

@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 
 from stages.render import stage
-from stages.render.config import RenderConfig
 from stages.shared.errors import UsageProblem
+from stages.shared.render_sequence.config import RenderConfig
 from tests.listening import Listener
 from tests.shared.outfit.wardrobe import motion
 

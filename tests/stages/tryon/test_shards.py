@@ -11,11 +11,11 @@ from typer.testing import CliRunner
 
 from gw_cli.app import app
 from stages.shared.errors import UsageProblem
+from stages.shared.render_sequence.config import RenderConfig
 from stages.tryon import stage
-from stages.tryon.config import TryonConfig
 from tests.listening import Listener
 
-SMALL = TryonConfig(width=48, height=64, passes=("labels",))
+SMALL = RenderConfig(width=48, height=64, passes=("labels",))
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -48,7 +48,7 @@ def test_parts_merge_to_the_same_bytes(wardrobe: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("shard", ["3/2", "0/2", "1/0", "-1/2", "2", "1/", "1/2/3", "a/b", "1.5/2"])
 def test_strange_parts_are_refused_before_anything_is_read(shard: str, tmp_path: Path) -> None:
     with pytest.raises(UsageProblem, match="part of the work") as caught:
-        stage.run([tmp_path / "none.gwg"], tmp_path / "none.npz", tmp_path / "out", TryonConfig(shard=shard))
+        stage.run([tmp_path / "none.gwg"], tmp_path / "none.npz", tmp_path / "out", RenderConfig(shard=shard))
     assert caught.value.where == "option --shard" and "1/4" in caught.value.fix
 
 

@@ -12,12 +12,13 @@ import pytest
 from typer.testing import CliRunner
 
 from gw_cli.app import app
+from stages.render import stage as render
 from stages.shared.errors import UsageProblem
+from stages.shared.render_sequence.config import RenderConfig
 from stages.tryon import stage
-from stages.tryon.config import TryonConfig
 from tests.listening import Listener
 
-SMALL = TryonConfig(width=48, height=64)
+SMALL = RenderConfig(width=48, height=64)
 
 
 def _bundles(wardrobe: Path, *names: str) -> list[Path]:
@@ -26,7 +27,7 @@ def _bundles(wardrobe: Path, *names: str) -> list[Path]:
 
 def test_film_frames_sheet_and_counts(wardrobe: Path, tmp_path: Path) -> None:
     out = tmp_path / "tryon"
-    config = TryonConfig(width=48, height=64, passes=("labels", "depth", "layers"))
+    config = RenderConfig(width=48, height=64, passes=("labels", "depth", "layers"))
     result = stage.run(_bundles(wardrobe, "upper", "body", "lower"), wardrobe / "motion.npz", out, config)
     assert result.summary["layers"] == ["body", "lower", "upper"]
     assert result.summary["pictures"] == 5 and result.summary["swapped_texels"] == {}
@@ -44,13 +45,25 @@ def test_film_frames_sheet_and_counts(wardrobe: Path, tmp_path: Path) -> None:
         assert sum(1 for _ in container.decode(video=0)) == 5
     assert (out / "contact_sheet.png").is_file()
     stored = json.loads((out / "result.json").read_text())
-    assert stored["format"] == stage.MARK and stored["layers"] == ["body", "lower", "upper"]
+    assert stored["format"] == "gw-tryon" and stored["layers"] == ["body", "lower", "upper"]
     assert set(stored["bundles"]) == {"body", "lower", "upper"}
     assert "penetrated_pixels" in stored and stored["seconds"]["render"] > 0
 
 
+def test_render_and_tryon_write_the_same_frames_and_the_same_results(wardrobe: Path, tmp_path: Path) -> None:
+    bundles, motion = _bundles(wardrobe, "body", "upper"), wardrobe / "motion.npz"
+    config = RenderConfig(width=48, height=64, frames="2:4")
+    worn = stage.run(bundles, motion, tmp_path / "worn", config)
+    rendered = render.run(bundles, motion, None, tmp_path / "rendered", config)
+    assert worn.summary.keys() == rendered.summary.keys() >= {"restored_texels", "swapped_texels", "cameras"}
+    first, second = (json.loads((result.path / "result.json").read_text()) for result in (worn, rendered))
+    assert first.keys() == second.keys() and first["config"] == second["config"]
+    frames = [(result.path / "frames/000003.png").read_bytes() for result in (worn, rendered)]
+    assert frames[0] == frames[1]
+
+
 def test_same_outfit_same_frames_whatever_the_order(wardrobe: Path, tmp_path: Path) -> None:
-    config = TryonConfig(width=48, height=64, frames="2:3")
+    config = RenderConfig(width=48, height=64, frames="2:3")
     for name, order in (("a", ("body", "lower", "upper")), ("b", ("upper", "lower", "body"))):
         stage.run(_bundles(wardrobe, *order), wardrobe / "motion.npz", tmp_path / name, config)
     first, second = ((tmp_path / name / "frames/000002.png").read_bytes() for name in "ab")

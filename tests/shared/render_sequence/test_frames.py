@@ -1,4 +1,4 @@
-"""Films made on several cores: the same files, in order, and an interrupt leaves whole frames."""
+"""Sequences rendered on several cores: the same files, in order; an interrupt leaves whole frames."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ import pytest
 import torch
 
 from stages.shared.errors import StorageFailure
-from stages.shared.outfit import reel
 from stages.shared.outfit.outfit import outfit_of_bundles
 from stages.shared.outfit.player import Player
-from stages.shared.outfit.reel import close_reel, write_frames
-from stages.shared.outfit.reel_config import ReelConfig, ReelFrame
 from stages.shared.pictures.parts import RECORDS, Share
+from stages.shared.render_sequence import frames as sequence_frames
+from stages.shared.render_sequence.frames import assemble, write_frames
+from stages.shared.render_sequence.outputs import SequenceFrame, SequenceOutputs
 from tests.shared.outfit.wardrobe import bundle, cameras, motion, worn
 
 OUTFIT = outfit_of_bundles([(name, bundle(worn(name, source=name))) for name in ("body", "upper")])
 POSES = motion(9)
-FRAMES = [ReelFrame(row, (cameras()[0],)) for row in range(9)]
-CONFIG = ReelConfig(passes=("labels", "depth", "layers"), exports=("ply",))
+FRAMES = [SequenceFrame(row, (cameras()[0],)) for row in range(9)]
+CONFIG = SequenceOutputs(passes=("labels", "depth", "layers"), exports=("ply",))
 
 
 class Heard:
@@ -79,7 +79,7 @@ def test_same_files_whatever_the_threads(count: int, alone: dict[str, bytes], tm
         write_frames(tmp_path, OUTFIT, POSES, FRAMES, CONFIG, heard)
     assert _files(tmp_path) == alone
     assert heard.seen == [(done, 9) for done in range(1, 10)]
-    summary = close_reel(tmp_path, OUTFIT, POSES, FRAMES, CONFIG)
+    summary = assemble(tmp_path, OUTFIT, POSES, FRAMES, CONFIG)
     assert summary.pictures == 9 and summary.wall == pytest.approx(summary.rendering / count)
 
 
@@ -110,14 +110,16 @@ def test_shards_give_the_same_files(alone: dict[str, bytes], tmp_path: Path) -> 
 
 
 def test_a_full_disk_reaches_the_caller(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    genuine = reel._write_frame
+    genuine = sequence_frames._write_frame
 
-    def full(folder: Path, player: Player, poses: object, frame: ReelFrame, config: ReelConfig) -> object:
+    def full(
+        folder: Path, player: Player, poses: object, frame: SequenceFrame, config: SequenceOutputs
+    ) -> object:
         if frame.row == 4:
             raise StorageFailure("The disk is full.", "here", "Free some.")
         return genuine(folder, player, poses, frame, config)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(reel, "_write_frame", full)
+    monkeypatch.setattr(sequence_frames, "_write_frame", full)
     with _threads(2), pytest.raises(StorageFailure):
         write_frames(tmp_path, OUTFIT, POSES, FRAMES, CONFIG, Heard())
     names = {path.name for path in (tmp_path / RECORDS).glob("*.json")}

@@ -1,4 +1,4 @@
-"""What a reel is asked for, and what is counted while it is made."""
+"""What a render sequence writes, and what is counted while it is rendered."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PASSES = ("labels", "depth", "layers")
 
 
 @dataclass(frozen=True, eq=False)
-class ReelFrame:
+class SequenceFrame:
     """One moment: the row of the pose file, and the cameras that see it."""
 
     row: int
@@ -24,18 +24,18 @@ class ReelFrame:
 
 
 @dataclass(frozen=True)
-class ReelConfig:
+class SequenceOutputs:
     """What is written.
 
     Attributes:
-        background: behind film and contact sheet; the frames are transparent.
+        background: behind video and contact sheet; the frames are transparent.
         passes: of `PASSES`.
         penetration: tolerances of the penetration pass, None to leave it out.
-        film: name of the video without its suffix. video: of `VIDEOS`.
+        video_name: name of the video without its suffix. video: of `VIDEOS`.
         camera_folders: one folder per camera, as a capture has them.
-        exports: splat formats to write every frame's Gaussians in.
-        pictures: whether there are pictures at all, or exports only.
-        cull: leave out body Gaussians that nobody can see (`stages/shared/outfit/hidden.py`) in a film long
+        exports: splat formats in which every frame's Gaussians are written.
+        pictures: whether pictures are written, or exports only.
+        cull: leave out hidden body Gaussians (`stages/shared/outfit/hidden.py`) in a sequence that is long
             enough for that to pay; never where the body alone is shown or exported.
         cutoffs: of the splatting.
     """
@@ -43,7 +43,7 @@ class ReelConfig:
     background: Background = WHITE
     passes: tuple[str, ...] = ()
     penetration: PenetrationConfig | None = None
-    film: str = "film"
+    video_name: str = "film"
     video: str = "auto"
     camera_folders: bool = False
     exports: tuple[str, ...] = ()
@@ -53,11 +53,11 @@ class ReelConfig:
 
 
 @dataclass
-class ReelSummary:
-    """Counts and times of a reel.
+class SequenceSummary:
+    """Counts and times of a render sequence.
 
-    `seconds` are those of every frame, by part; `wall` what posing and rendering took when frames were made
-    side by side (so many frames at a time, each in so many seconds).
+    `seconds` are summed over frames, by part. `wall` is the time that posing and rendering took when several
+    frames were rendered at the same time.
     """
 
     pictures: int = 0
@@ -66,8 +66,8 @@ class ReelSummary:
     penetrated: dict[str, int] = field(default_factory=dict)
     video: str | None = None
 
-    def add(self, other: ReelSummary) -> None:
-        """Count the pictures of another one as well."""
+    def add(self, other: SequenceSummary) -> None:
+        """Add the counts of another summary."""
         self.pictures += other.pictures
         self.wall += other.wall
         for mine, theirs in ((self.seconds, other.seconds), (self.penetrated, other.penetrated)):
@@ -80,7 +80,7 @@ class ReelSummary:
 
     @property
     def rendering(self) -> float:
-        """Seconds of posing and of pictures, without files."""
+        """Seconds of posing and rendering, without files."""
         return self.seconds.get("pose", 0.0) + self.seconds.get("render", 0.0)
 
     def as_dict(self) -> dict[str, Any]:

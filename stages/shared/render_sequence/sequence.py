@@ -1,63 +1,69 @@
-"""Everything that is decided before the first picture: who, in which motion, seen by which cameras."""
+"""Everything that is decided before the first picture: the outfit, its motion, and the cameras."""
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from stages.pipeline import BAKE_MAPS, DISTILL, REGISTER_TEMPLATE, TRAIN
-from stages.render.camera_path import path_cameras
-from stages.render.config import RenderConfig
 from stages.shared.artifacts import Workspace
+from stages.shared.artifacts.canonical import KEY_LENGTH, canonical_json, digest
 from stages.shared.body import Poses, canonical_poses
 from stages.shared.capture import Take, open_capture
 from stages.shared.errors import MissingInput, UsageProblem
 from stages.shared.outfit.grounding import grounded
 from stages.shared.outfit.outfit import Outfit, outfit_of_bundles, outfit_of_training
-from stages.shared.outfit.reel import reel_key
-from stages.shared.outfit.reel_config import ReelFrame
-from stages.shared.outfit.sources import (
-    capture_frames,
-    capture_take,
-    parse_betas,
-    parse_frames,
-    read_bundles,
-)
+from stages.shared.outfit.sources import capture_take, parse_betas, parse_frames, read_bundles
 from stages.shared.outfit.viewpoints import viewpoint_cameras
 from stages.shared.poses.read import load_poses
+from stages.shared.render_sequence.camera_path import path_cameras
+from stages.shared.render_sequence.config import CANONICAL, RenderConfig
+from stages.shared.render_sequence.outputs import SequenceFrame
 
-CANONICAL = "canonical"  # in the place of a pose file: the pose of the maps
-_STILL_FRAMES = 90  # of a camera that moves around it
+_CODE_VERSION = 2  # raised when the same inputs give other files
+_STILL_FRAMES = 90  # of the canonical pose, for a camera that moves around it
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class RenderSequence:
     """What is rendered.
 
     Attributes:
-        outfit, poses: what moves, and how. frames: rows and cameras. take: of the capture, when its cameras
-            are used. digests: of the bundles by layer, or of the subject's artifacts by stage.
+        outfit: what is worn. poses: the motion. frames: rows of it and the cameras that see each.
+        take: of the capture, when its cameras are used.
+        digests: of the bundles by layer, or of the subject's artifacts by stage.
     """
 
     outfit: Outfit
     poses: Poses
-    frames: list[ReelFrame]
+    frames: list[SequenceFrame]
     take: Take | None
     digests: dict[str, str]
 
     def key(self, config: RenderConfig) -> str:
-        """Names the content of the output: the same scene and configuration have the same key."""
-        return reel_key(self.outfit, self.digests, self.poses, self.frames, config)
+        """Names the content of the output: the same sequence and configuration have the same key."""
+        seen = hashlib.sha256()
+        for array in (self.poses.rotations, self.poses.translation, self.outfit.betas):
+            seen.update(np.ascontiguousarray(array).tobytes())
+        for frame in self.frames:
+            for camera in frame.cameras:
+                seen.update(f"{frame.row} {camera.name} {camera.width} {camera.height} ".encode())
+                seen.update(camera.intrinsics.tobytes() + camera.camera_from_world.tobytes())
+        parts = {"code": _CODE_VERSION, "config": config, "digests": self.digests, "seen": seen.hexdigest()}
+        return digest(canonical_json(parts))[:KEY_LENGTH]
 
 
-def open_scene(
+def open_sequence(
     sources: Sequence[Path], poses_path: Path | None, cameras_path: Path | None, config: RenderConfig
-) -> Scene:
-    """Read outfit, poses and cameras."""
-    outfit, own_poses, digests = _open_outfit(sources, config)
+) -> RenderSequence:
+    """Read outfit, poses and cameras. Raises as `run` does."""
+    outfit, subject_poses, digests = _open_outfit(sources, config)
     if config.layers:
-        outfit = only(outfit, config.layers)
+        outfit = select_layers(outfit, config.layers)
     take = None
     if cameras_path is not None:
         take = capture_take(open_capture(cameras_path, body=outfit.body_model), config.take or None)
@@ -69,16 +75,16 @@ def open_scene(
             poses = grounded(poses, outfit.body_model, outfit.betas)
     elif take is not None:
         poses = take.poses
-    elif own_poses is not None:
-        poses = own_poses
+    elif subject_poses is not None:
+        poses = subject_poses
     else:
         raise MissingInput(
             "There are no poses.", "option --poses", "Give a motion with --poses FILE, or --poses canonical."
         )
-    return Scene(outfit, poses, _frames(outfit, poses, take, config), take, digests)
+    return RenderSequence(outfit, poses, _frames(outfit, poses, take, config), take, digests)
 
 
-def only(outfit: Outfit, names: tuple[str, ...]) -> Outfit:
+def select_layers(outfit: Outfit, names: tuple[str, ...]) -> Outfit:
     """The outfit with some of its layers. Raises UsageProblem for one it does not have."""
     unknown = [name for name in names if name not in outfit.names]
     if unknown:
@@ -90,10 +96,26 @@ def only(outfit: Outfit, names: tuple[str, ...]) -> Outfit:
     return replace(outfit, layers=tuple(layer for layer in outfit.layers if layer.name in names))
 
 
+def capture_frames(take: Take, rows: Sequence[int] | None = None) -> list[SequenceFrame]:
+    """The frames of a take that have images, each with the cameras that saw it.
+
+    Raises:
+        MissingInput: the take has no images among `rows`.
+    """
+    with_images = take.frames if rows is None else [frame for frame in take.frames if frame in set(rows)]
+    frames = [
+        SequenceFrame(frame, tuple(c for name, c in take.cameras.items() if take.has_image(name, frame)))
+        for frame in with_images
+    ]
+    if not frames:
+        raise MissingInput("The take has no images of these frames.", take.name, "Choose other frames.")
+    return frames
+
+
 def _open_outfit(
     sources: Sequence[Path], config: RenderConfig
 ) -> tuple[Outfit, Poses | None, dict[str, str]]:
-    """The outfit, the subject's own poses if there is a subject, and what names the content of both."""
+    """The outfit, the poses of a subject (None for bundles), and the digests of what was read."""
     betas = parse_betas(config.betas)
     folders = [path for path in sources if path.is_dir()]
     if not folders:
@@ -115,18 +137,17 @@ def _open_outfit(
     return outfit if betas is None else replace(outfit, betas=betas), poses, digests
 
 
-def _frames(outfit: Outfit, poses: Poses, take: Take | None, config: RenderConfig) -> list[ReelFrame]:
+def _frames(outfit: Outfit, poses: Poses, take: Take | None, config: RenderConfig) -> list[SequenceFrame]:
+    """Rows of the motion, each with its cameras."""
     rows = parse_frames(config.frames, len(poses))
     size = (config.width, config.height)
+    if take is not None and not config.camera:
+        return capture_frames(take, rows)
     if config.camera.endswith(".json"):
         cameras = path_cameras(Path(config.camera), len(rows), size)
-        return [ReelFrame(row, (camera,)) for row, camera in zip(rows, cameras, strict=True)]
-    if take is None:
+    elif take is not None:
+        cameras = [take.camera(config.camera)] * len(rows)
+    else:
         kind = config.camera or "static"
         cameras = viewpoint_cameras(kind, outfit.body_model, poses[rows], outfit.betas, size, config.turns)
-        return [ReelFrame(row, (camera,)) for row, camera in zip(rows, cameras, strict=True)]
-    frames = capture_frames(take, rows)
-    if not config.camera:
-        return frames
-    camera = take.camera(config.camera)
-    return [ReelFrame(row, (camera,)) for row in rows]
+    return [SequenceFrame(row, (camera,)) for row, camera in zip(rows, cameras, strict=True)]

@@ -1,4 +1,4 @@
-"""The files of a reel: of one moment, and film and contact sheet out of the moments' files."""
+"""The files of a render sequence: those of one moment, and video and contact sheet made from them."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from stages.shared.capture.camera import Camera
 from stages.shared.export.cloud import cloud_of
 from stages.shared.export.splats import write_splats
 from stages.shared.outfit.picture import Shot, straight_alpha, to_bytes
-from stages.shared.outfit.reel_config import ReelConfig, ReelFrame
 from stages.shared.pictures.sheet import chosen, contact_sheet, shrunk
 from stages.shared.pictures.video import VideoWriter, chosen_suffix
+from stages.shared.render_sequence.outputs import SequenceFrame, SequenceOutputs
 
 _SHEET_PICTURES, _SHEET_COLUMNS, _SHEET_SIDE = 12, 6, 320
 
 
-def write_shot(folder: Path, shot: Shot, name: str, passes: tuple[str, ...]) -> None:
+def write_passes(folder: Path, shot: Shot, name: str, passes: tuple[str, ...]) -> None:
     """All files of one picture; name: `picture_name`."""
     files = {f"frames/{name}": encode_png(shot.straight())}
     if "labels" in passes:
@@ -46,25 +46,27 @@ def write_exports(folder: Path, composite: Composite, row: int, kinds: tuple[str
         write_splats(folder / kind / f"frame{row:06d}.{kind}", cloud, composite.layers)
 
 
-def write_film(folder: Path, fps: float, frames: Sequence[ReelFrame], config: ReelConfig) -> str | None:
-    """The first camera's film; its name, or None where there is none."""
-    suffix = chosen_suffix(config.video, config.background.transparent)
+def write_video(
+    folder: Path, fps: float, frames: Sequence[SequenceFrame], outputs: SequenceOutputs
+) -> str | None:
+    """The first camera's video; its name, or None where none is written."""
+    transparent = outputs.background.transparent
+    suffix = chosen_suffix(outputs.video, transparent)
     if not suffix or len(frames) < 2:
         return None
-    clear = config.background.transparent
-    name = config.film + suffix
-    with VideoWriter(folder / name, fps, clear) as film:
-        for picture in _first_pictures(folder, frames, config):
-            film.add(picture if clear else config.background.under(picture))
+    name = outputs.video_name + suffix
+    with VideoWriter(folder / name, fps, transparent) as video:
+        for picture in _first_pictures(folder, frames, outputs):
+            video.add(picture if transparent else outputs.background.under(picture))
     return name
 
 
-def write_sheet(folder: Path, frames: Sequence[ReelFrame], config: ReelConfig) -> None:
-    """The contact sheet: a dozen of the first camera's pictures."""
+def write_sheet(folder: Path, frames: Sequence[SequenceFrame], outputs: SequenceOutputs) -> None:
+    """The contact sheet: up to twelve pictures of the first camera."""
     few = [frames[index] for index in chosen(len(frames), _SHEET_PICTURES)]
     pictures = [
-        shrunk(config.background.under(picture), _SHEET_SIDE)
-        for picture in _first_pictures(folder, few, config)
+        shrunk(outputs.background.under(picture), _SHEET_SIDE)
+        for picture in _first_pictures(folder, few, outputs)
     ]
     page = contact_sheet(pictures, _SHEET_COLUMNS, [f"frame {frame.row}" for frame in few])
     (folder / "contact_sheet.png").unlink(missing_ok=True)
@@ -72,19 +74,19 @@ def write_sheet(folder: Path, frames: Sequence[ReelFrame], config: ReelConfig) -
 
 
 def _first_pictures(
-    folder: Path, frames: Sequence[ReelFrame], config: ReelConfig
+    folder: Path, frames: Sequence[SequenceFrame], outputs: SequenceOutputs
 ) -> Iterator[NDArray[np.uint8]]:
-    """(H, W, 4) u8 RGBA of the first camera of every frame, one after the other."""
+    """(H, W, 4) u8 RGBA of the first camera of every frame, in order."""
     for frame in frames:
-        path = folder / "frames" / picture_name(frame.row, frame.cameras[0], config)
+        path = folder / "frames" / picture_name(frame.row, frame.cameras[0], outputs)
         picture = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
         assert picture is not None, path
         yield np.asarray(picture[..., [2, 1, 0, 3]], np.uint8)
 
 
-def picture_name(row: int, camera: Camera, config: ReelConfig) -> str:
-    """Where a picture stands below the folder of its kind."""
-    return f"{camera.name}/{row:06d}.png" if config.camera_folders else f"{row:06d}.png"
+def picture_name(row: int, camera: Camera, outputs: SequenceOutputs) -> str:
+    """Path of a picture below the folder of its kind."""
+    return f"{camera.name}/{row:06d}.png" if outputs.camera_folders else f"{row:06d}.png"
 
 
 def _depth_png(depth: NDArray[np.float32]) -> bytes:

@@ -1,0 +1,77 @@
+"""Options of `gw tryon` and `gw render`, and their presets. Loads nothing heavy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from stages.shared.splat.settings import ALPHA_MIN, TRANSMITTANCE_MIN
+
+CANONICAL = "canonical"
+"""Given in place of a pose file: the canonical pose of the maps."""
+
+
+def option(default: Any, help: str, **metadata: Any) -> Any:
+    """A dataclass field with its help and, where they apply, `min`, `max`, `metavar` and `flag`."""
+    return field(default=default, metadata={"help": help, **metadata})
+
+
+@dataclass(frozen=True)
+class RenderConfig:
+    """How an outfit is worn, posed, seen and written. The help of each field is in its metadata."""
+
+    betas: str = option("", "Another body shape: up to ten numbers, 0.5,-1.2.")
+    frames: str = option("", "Only these rows of the motion, as a slice: 10:90:2.")
+    fps: float = option(0.0, "Frames per second; 0 keeps the motion's own.", min=0)
+    camera: str = option("", "static | orbit | PATH.json; with --cameras the name of one camera.")
+    turns: float = option(1.0, "How often orbit walks around; negative turns the other way.")
+    take: str = option("", "With --cameras: which take of the capture.")
+    width: int = option(480, "Pixels.", min=16, max=8192)
+    height: int = option(640, "Pixels.", min=16, max=8192)
+    background: str = option(
+        "white",
+        "Behind video and contact sheet: white | black | grey | #rrggbb | transparent | a PNG or JPEG.",
+    )
+    distilled: bool = option(
+        False,
+        "Of a subject: use the blendshapes of `gw distill`, which play in real time.",
+        flag="--distilled",
+    )
+    layers: tuple[str, ...] = option((), "Only these layers, e.g. body,lower.")
+    passes: tuple[str, ...] = option((), "Also write: labels,depth,layers.")
+    video: str = option("auto", "auto | h264 | vp9 | none.")
+    exports: tuple[str, ...] = option((), "Also write every frame's Gaussians: ply,spz,glb.", flag="--export")
+    pictures: bool = option(True, "Write pictures and video, or exports only.")
+    swap: bool = option(
+        True, "Under a garment, give the body the offsets and rotations of the garment's source."
+    )
+    push: bool = option(False, "Move garments of other people out of the wearer's body.")
+    restore: bool = option(
+        True, "Give skin that clothes covered during training the look of the skin around it."
+    )
+    penetration: bool = option(True, "Correct pixels where an inner layer pokes through a garment.")
+    ground: bool = option(True, "Keep the feet on the floor when the wearer's legs are longer or shorter.")
+    cull: bool = option(True, "Leave out body Gaussians that garments hide (from 300 pictures on).")
+    alpha_min: float = option(
+        ALPHA_MIN, "A Gaussian counts where its alpha reaches this; larger is faster, coarser.",
+        min=1e-6, max=0.5,
+    )  # fmt: skip
+    transmittance_min: float = option(
+        TRANSMITTANCE_MIN,
+        "A pixel stops when less light than this comes from behind; larger is faster, coarser.",
+        min=0, max=0.5,
+    )  # fmt: skip
+    shard: str = option(
+        "", "Only the i-th of n parts of the frames, as 2/4; see below.", metavar="I/N", affects_result=False
+    )
+
+
+PRESETS: dict[str, RenderConfig] = {
+    name: RenderConfig(width=width, height=height)
+    for name, width, height in (
+        ("tiny", 120, 160),
+        ("draft", 480, 640),
+        ("balanced", 720, 960),
+        ("paper", 1024, 1024),
+    )
+}

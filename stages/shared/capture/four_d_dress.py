@@ -39,27 +39,29 @@ _TEST_TAKES: Final[dict[tuple[str, str], tuple[int, ...]]] = {
 
 
 def take_folders(root: Path) -> list[Path]:
-    """The take at `root`, or the takes below an outfit's or a subject's folder; empty for other layouts.
+    """The take at `root`, or the takes in `root` or up to two folders below it; empty for other layouts.
 
     Raises:
-        UsageProblem: a subject's folder with two outfits.
+        UsageProblem: takes in several folders (a subject with two outfits, a folder with two subjects).
     """
-    if (root / "Capture" / "cameras.pkl").is_file():
+    if _is_take(root):
         return [root]
-    found = [folder for folder in root.glob("Take*") if (folder / "Capture" / "cameras.pkl").is_file()]
-    if not found:
-        outfits = [root / name for name in ("Inner", "Outer") if take_folders_of_outfit(root / name)]
-        if len(outfits) > 1:
+    for pattern in ("Take*", "*/Take*", "*/*/Take*"):
+        takes = [folder for folder in root.glob(pattern) if _is_take(folder)]
+        parents = sorted({folder.parent for folder in takes})
+        if len(parents) > 1:
             raise UsageProblem(
-                "This person has two outfits.", str(root), f"Give one: {outfits[0]} or {outfits[1]}."
+                f"{len(parents)} folders here have takes: one outfit of one person at a time.",
+                str(root),
+                "Give one of: " + ", ".join(str(parent) for parent in parents[:4]) + ".",
             )
-        found = take_folders_of_outfit(outfits[0]) if outfits else []
-    return sorted(found, key=_take_number)
+        if takes:
+            return sorted(takes, key=_take_number)
+    return []
 
 
-def take_folders_of_outfit(outfit: Path) -> list[Path]:
-    """Folders `TakeN` with cameras below `Inner` or `Outer`."""
-    return [folder for folder in outfit.glob("Take*") if (folder / "Capture" / "cameras.pkl").is_file()]
+def _is_take(folder: Path) -> bool:
+    return (folder / "Capture" / "cameras.pkl").is_file()
 
 
 def open_4d_dress(root: Path, body: BodyModel | None, body_model_path: Path | None) -> Capture:

@@ -98,8 +98,14 @@ def test_4d_dress_subject_folder_needs_a_choice(tmp_path: Path) -> None:
     scene.write_4d_dress(tmp_path / "00199" / "Outer")
     assert open_capture(tmp_path / "00199").takes[0].name == "Take1"
     scene.write_4d_dress(tmp_path / "00199" / "Inner")
-    with pytest.raises(UsageProblem, match="two outfits"):
+    with pytest.raises(UsageProblem, match="2 folders here have takes"):
         open_capture(tmp_path / "00199")
+
+
+def test_4d_dress_takes_are_found_below_a_parent_folder(tmp_path: Path) -> None:
+    scene.write_4d_dress(tmp_path / "copied" / "00901")
+    for root in (tmp_path / "copied" / "00901", tmp_path / "copied", tmp_path):
+        assert [take.name for take in open_capture(root).takes] == ["Take1", "Take2"]
 
 
 def test_4d_dress_hand_coefficients(tmp_path: Path) -> None:

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from stages.register_template.config import RegisterTemplateConfig
 from stages.register_template.fitting.fit_scan import fit_scan
 from stages.register_template.fitting.starts import UP_AXES
-from stages.register_template.scan_cleaning import clean_scan, two_people
+from stages.register_template.people import two_people
+from stages.register_template.scan_cleaning import clean_scan
 from stages.register_template.sources import Registered, Source
 from stages.register_template.surface import MEDIAN_BAR_M, distances, turned_upright
 from stages.shared.body import BodyModel

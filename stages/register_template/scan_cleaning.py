@@ -7,13 +7,13 @@ from typing import Any
 
 import igl
 import numpy as np
-from numpy.typing import NDArray
 
+from stages.register_template.people import refuse_two_people
 from stages.shared.errors import BadData
 from stages.shared.meshes.mesh import Mesh
 from stages.shared.meshes.raycast import RayScene
 from stages.shared.meshes.remesh import cluster, simplify
-from stages.shared.meshes.topology import components, face_normals, keep_faces
+from stages.shared.meshes.topology import face_normals
 from stages.shared.report import Report
 
 # Metres per unit: metre, centimetre, millimetre, inch, foot.
@@ -24,7 +24,6 @@ _CLUSTERED_FROM = 3  # times the most faces: edge collapse takes minutes beyond
 _RAYS = 6  # to either side of a face
 _FACES_ASKED = 20_000
 _LIFT_M = 5e-4
-_PERSON_TALL, _PERSON_AREA, _APART = 0.5, 0.2, 0.15  # of the mesh; the last between two middles
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,33 +140,3 @@ def outward_faces(mesh: Mesh, seed: int = 0) -> tuple[Mesh, int]:
     # Faces that keep their side keep the order of their corners, too.
     kept = np.where(turned[:, None], mesh.faces[:, ::-1], mesh.faces)
     return replace(mesh, faces=kept), int(turned.sum())
-
-
-def refuse_two_people(mesh: Mesh, where: str) -> None:
-    """Raise BadData when two parts of the mesh are both as tall as a person and stand side by side."""
-    part = components(mesh.faces, len(mesh.vertices))
-    of_face = part[mesh.faces[:, 0]]
-    areas = np.bincount(of_face, face_normals(mesh.vertices, mesh.faces)[1])
-    whole = float(np.ptp(mesh.vertices, axis=0).max())
-    people = []
-    for number in np.flatnonzero(areas > _PERSON_AREA * areas.sum()):
-        vertices = mesh.vertices[keep_faces(mesh.faces, of_face == number, len(mesh.vertices))[1]]
-        if np.ptp(vertices, axis=0).max() > _PERSON_TALL * whole:
-            people.append(_middle(vertices))
-    for place, one in enumerate(people):
-        for other in people[place + 1 :]:
-            if np.linalg.norm(one - other) > _APART * whole:
-                raise two_people(where, f"two parts stand {np.linalg.norm(one - other):.3g} units apart")
-
-
-def two_people(where: str, reason: str) -> BadData:
-    """The error for a mesh with more than one person in it."""
-    return BadData(
-        f"There is more than one person in the mesh, or a person and something large: {reason}.",
-        where,
-        "Cut the mesh so that one person is left.",
-    )
-
-
-def _middle(vertices: NDArray[np.floating]) -> NDArray[np.float64]:
-    return (vertices.max(axis=0).astype(np.float64) + vertices.min(axis=0)) / 2

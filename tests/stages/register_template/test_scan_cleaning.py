@@ -112,6 +112,41 @@ def test_two_people_are_refused_and_one_with_a_bag_is_not(person: Mesh) -> None:
     assert len(clean_scan(bag, 200_000, "scan", Listener()).mesh.faces) > len(person.faces)
 
 
+def cut_at(mesh: Mesh, height: float, gap: float) -> tuple[Mesh, Mesh]:
+    """The faces above and below a height, moved apart by a gap, with a rim of open edges on both."""
+    upper = mesh.vertices[mesh.faces].mean(axis=1)[:, 1] > height
+    parts = []
+    for faces, shift in ((mesh.faces[upper], gap), (mesh.faces[~upper], 0.0)):
+        rows, faces = np.unique(faces, return_inverse=True)
+        parts.append(Mesh(mesh.vertices[rows] + np.float32([0, shift, 0]), faces.reshape(-1, 3)))
+    return parts[0], parts[1]
+
+
+def together(*parts: Mesh) -> Mesh:
+    starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
+    return Mesh(
+        np.concatenate([part.vertices for part in parts]),
+        np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=False)]),
+    )
+
+
+def test_a_scan_in_separate_parts_is_one_person(person: Mesh) -> None:
+    upper, lower = cut_at(person, 1.0, 0.01)
+    jacket = replace(upper, vertices=np.float32(1.05) * upper.vertices - np.float32([0, 0.05, 0]))
+    for parts in ((upper, lower), (jacket, upper, lower)):
+        cleaned = clean_scan(together(*parts), 200_000, "scan", Listener())
+        assert cleaned.told["unit"] == "m"
+
+
+@pytest.mark.parametrize("apart", [0.55, 1.2, 1.9])
+def test_two_people_in_parts_are_still_two(person: Mesh, apart: float) -> None:
+    """Even when their hands touch."""
+    parts = cut_at(person, 1.0, 0.01)
+    neighbours = [replace(part, vertices=part.vertices + np.float32([0, 0, apart])) for part in parts]
+    with pytest.raises(BadData, match="more than one person"):
+        clean_scan(together(*parts, *neighbours), 200_000, "scan", Listener())
+
+
 @pytest.mark.parametrize(
     ("times", "faces"), [(2, 390_000), pytest.param(3, 1_500_000, marks=pytest.mark.long)]
 )

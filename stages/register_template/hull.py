@@ -8,23 +8,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import igl
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from stages.shared.capture.camera import Camera
+from stages.register_template.silhouettes import Doubles, Silhouette, hull_field, silhouette
 from stages.shared.capture.projection import sample_bilinear
-from stages.shared.capture.take import MASK_THRESHOLD, Take
+from stages.shared.capture.take import Take
 from stages.shared.errors import BadData
 from stages.shared.meshes.mesh import Mesh
 from stages.shared.meshes.raycast import RayScene
 from stages.shared.meshes.topology import adjacency, components, keep_faces, vertex_normals
 from stages.shared.report import Report
-
-Doubles = NDArray[np.float64]
 
 MOST_NODES = 12_000_000
 _FEWEST_CAMERAS = 3
@@ -38,14 +35,6 @@ _TOUCHING_STEPS, _CURVES, _CURVE_SPREAD_M, _NORMAL_M = 1.5, 16, 0.05, 0.08
 _CLOSED_M = 0.12
 _BETWEEN_M = 0.4  # what has the body before and behind it nearer than this lies between two parts of it
 _BIN_STEPS = 1.5  # side of the bins in which pixels are compared, in projected grid steps
-
-
-@dataclass(frozen=True)
-class Silhouette:
-    """One camera and the signed distance (H, W, 1) f32 in pixels to the edge of its mask, positive inside."""
-
-    camera: Camera
-    distance: NDArray[np.float32]
 
 
 def carve(
@@ -83,7 +72,7 @@ def carve(
         )
     low, high = body_vertices.min(axis=0) - reach, body_vertices.max(axis=0) + reach
     coarse = _grid(low, high, pitch * _COARSENESS)
-    inside = _field(coarse, silhouettes) > -pitch * _COARSENESS
+    inside = hull_field(coarse.nodes(), silhouettes, coarse.pitch) > -pitch * _COARSENESS
     if not inside.any():
         raise BadData(
             "The masks of the cameras have no volume in common.",
@@ -100,7 +89,9 @@ def carve(
         )
         pitch = float(finest)
     grid = _grid(low, high, pitch)
-    values = _without_ghosts(_field(grid, silhouettes), grid, silhouettes, body_vertices, reach)
+    values = _without_ghosts(
+        hull_field(grid.nodes(), silhouettes, grid.pitch), grid, silhouettes, body_vertices, reach
+    )
     if body_faces is not None:
         if leg_vertices is None:
             leg_vertices = np.zeros(len(body_vertices), bool)
@@ -113,25 +104,6 @@ def carve(
             "Use a finer preset.",
         )
     return largest_part(outward(vertices, faces))
-
-
-def silhouette(take: Take, name: str, frame: int) -> Silhouette:
-    """Signed distance to the edge of a mask, positive inside, refined by the mask's soft edge."""
-    mask = take.mask(name, frame)
-    inside = mask > MASK_THRESHOLD
-    if not inside.any():
-        raise take.empty_mask(name, frame)
-    distance = signed_distance(inside)
-    edge = np.abs(distance) < 1
-    distance[edge] = mask[edge] / 255.0 - 0.5
-    return Silhouette(take.camera(name), distance[..., None].astype(np.float32))
-
-
-def signed_distance(inside: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """(H, W) f32 pixels to the edge of a mask, positive inside."""
-    deep = cv2.distanceTransform(inside.astype(np.uint8), cv2.DIST_L2, 5)
-    far = cv2.distanceTransform((~inside).astype(np.uint8), cv2.DIST_L2, 5)
-    return np.where(inside, deep - 0.5, 0.5 - far).astype(np.float32)
 
 
 def outward(vertices: Doubles, faces: NDArray[np.integer]) -> Mesh:
@@ -184,22 +156,6 @@ def _grid(low: Doubles, high: Doubles, pitch: float) -> _Grid:
     return _Grid(low, pitch, (int(counts[2]), int(counts[1]), int(counts[0])))
 
 
-def _field(grid: _Grid, silhouettes: list[Silhouette]) -> Doubles:
-    """(nodes,) metres, positive inside the hull of the masks."""
-    nodes = grid.nodes()
-    # A point that fewer than two cameras have in view is not known to be anything.
-    seen = np.zeros(len(nodes), np.int32)
-    values = np.full(len(nodes), np.inf)
-    for one in silhouettes:
-        pixels, depth = one.camera.project(nodes)
-        in_view = one.camera.in_view(pixels)
-        distance = sample_bilinear(one.distance, pixels[in_view])[:, 0] * depth[in_view] / _focal(one.camera)
-        values[in_view] = np.minimum(values[in_view], distance)
-        seen += in_view
-    values[seen < 2] = -grid.pitch
-    return values
-
-
 def _without_ghosts(
     values: Doubles, grid: _Grid, silhouettes: list[Silhouette], body: Doubles, reach: float
 ) -> Doubles:
@@ -216,7 +172,7 @@ def _without_ghosts(
     needed = np.zeros(len(body))
     for one in silhouettes:
         pixels, depth = one.camera.project(nodes)
-        side = np.ceil(_BIN_STEPS * grid.pitch * _focal(one.camera) / np.median(depth))
+        side = np.ceil(_BIN_STEPS * grid.pitch * one.focal / np.median(depth))
         columns = int(np.ceil(one.camera.width / side)) + 1
         bins = (pixels[:, 1] // side).astype(np.int64) * columns + (pixels[:, 0] // side).astype(np.int64)
         order = np.lexsort((distance, bins))
@@ -292,10 +248,10 @@ def _touched(
     for one in silhouettes:
         pixels, depth = one.camera.project(nodes)
         seen = np.flatnonzero(one.camera.in_view(pixels))
-        from_edge = sample_bilinear(one.distance, pixels[seen])[:, 0] * depth[seen] / _focal(one.camera)
+        from_edge = sample_bilinear(one.distance, pixels[seen])[:, 0] * depth[seen] / one.focal
         touching = seen[from_edge < _TOUCHING_STEPS * grid.pitch]
         left_over = from_edge[from_edge < _TOUCHING_STEPS * grid.pitch]
-        side = np.ceil(_BIN_STEPS * grid.pitch * _focal(one.camera) / np.median(depth))
+        side = np.ceil(_BIN_STEPS * grid.pitch * one.focal / np.median(depth))
         columns = int(np.ceil(one.camera.width / side)) + 1
         spots = pixels[touching] // side
         bins = spots[:, 1].astype(np.int64) * columns + spots[:, 0].astype(np.int64)
@@ -304,7 +260,3 @@ def _touched(
         places.append(nearest[touching[first]])
         worn.append(distance[touching[first]] + left_over[first])
     return np.concatenate(places), np.concatenate(worn)
-
-
-def _focal(camera: Camera) -> float:
-    return float(np.sqrt(camera.intrinsics[0, 0] * camera.intrinsics[1, 1]))

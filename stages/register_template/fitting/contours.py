@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.register_template.fitting.bones import Doubles
-from stages.register_template.hull import signed_distance
+from stages.register_template.silhouettes import signed_distance
 from stages.shared.capture import Take
 from stages.shared.capture.camera import Camera
 from stages.shared.capture.labels import NO_LABEL

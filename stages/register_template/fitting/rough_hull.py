@@ -6,10 +6,10 @@ import igl
 import numpy as np
 
 from stages.register_template.fitting.bones import Doubles
-from stages.register_template.hull import Silhouette, largest_part, outward, silhouette, smooth
+from stages.register_template.hull import largest_part, outward, smooth
+from stages.register_template.silhouettes import Silhouette, hull_field, silhouette
 from stages.shared.capture import Take
 from stages.shared.capture.camera import Camera
-from stages.shared.capture.projection import sample_bilinear
 from stages.shared.errors import BadData
 from stages.shared.meshes.mesh import Mesh
 
@@ -37,13 +37,7 @@ def rough_hull(take: Take, frame: int) -> Mesh:
     steps = np.arange(-_HALF_SIDE_M, _HALF_SIDE_M + _PITCH_M, _PITCH_M)
     z, y, x = np.meshgrid(steps, steps, steps, indexing="ij")
     nodes = np.stack([x, y, z], axis=-1).reshape(-1, 3) + middle
-    values = np.full(len(nodes), _HALF_SIDE_M)
-    for one in silhouettes:
-        pixels, depth = one.camera.project(nodes)
-        seen = one.camera.in_view(pixels)
-        metres = depth[seen] / np.sqrt(one.camera.intrinsics[0, 0] * one.camera.intrinsics[1, 1])
-        values[seen] = np.minimum(values[seen], sample_bilinear(one.distance, pixels[seen])[:, 0] * metres)
-        values[~seen & (depth <= 0)] = -_PITCH_M
+    values = hull_field(nodes, silhouettes, _PITCH_M)
     edge = np.abs(nodes - middle).max(axis=1) > _HALF_SIDE_M - 1.5 * _PITCH_M
     values[edge] = -_PITCH_M
     vertices, faces, _ = igl.marching_cubes(values, nodes, len(steps), len(steps), len(steps), 0.0)

@@ -7,6 +7,7 @@ import pytest
 
 from stages.register_template.frame_choice import choose_frame, openness
 from stages.register_template.hull import carve, largest_part, outward, smooth
+from stages.register_template.silhouettes import fewest_views, hull_field, silhouette
 from stages.shared.body import embedded_body
 from stages.shared.capture.take import Take
 from stages.shared.errors import BadData
@@ -72,6 +73,25 @@ def test_a_hull_is_rounded_between_its_views() -> None:
         for hull in (plain, rounded)
     ]
     assert off[1] < 0.6 * off[0]
+
+
+def test_space_that_no_camera_sees_is_outside() -> None:
+    """Cameras so near that each sees little more than the ball: around it there is no evidence."""
+    from stages.register_template.fitting.rough_hull import rough_hull
+
+    take = ball_take(8)
+    mesh = rough_hull(take, 0)
+    assert np.ptp(mesh.vertices, axis=0).max() < 2.4 * scene.RADIUS
+    points = scene.CENTRE + np.random.default_rng(0).uniform(-6.0, 6.0, (4000, 3))
+    silhouettes = [silhouette(take, name, 0) for name in take.training_cameras]
+    views = sum(one.camera.in_view(one.camera.project(points)[0]).astype(int) for one in silhouettes)
+    assert (views < fewest_views(8)).any()
+    assert (hull_field(points, silhouettes, 0.1)[views < fewest_views(8)] == -0.1).all()
+
+
+@pytest.mark.parametrize(("cameras", "views"), [(2, 2), (4, 2), (8, 4), (20, 4), (160, 4)])
+def test_how_many_views_are_enough(cameras: int, views: int) -> None:
+    assert fewest_views(cameras) == views
 
 
 def test_hull_needs_three_cameras() -> None:

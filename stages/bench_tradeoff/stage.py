@@ -25,6 +25,7 @@ from stages.shared.artifacts.canonical import readable_json
 from stages.shared.artifacts.pictures import encode_png
 from stages.shared.commands import run_command
 from stages.shared.errors import BadData, MissingInput, UsageProblem
+from stages.shared.input_files import read_json_object
 from stages.shared.plan import Plan
 from stages.shared.report import SILENT, Report
 from stages.shared.targets import check_folder_target
@@ -122,10 +123,7 @@ def read_points(folder: Path) -> list[OperatingPoint]:
     path = folder / RESULT_NAME
     if not path.is_file():
         raise MissingInput("There are no measured operating points.", str(path), "Run gw bench tradeoff.")
-    try:
-        content = json.loads(path.read_bytes())["points"]
-    except (ValueError, KeyError, TypeError):
-        raise BadData("The file cannot be read.", str(path), "Run gw bench tradeoff again.") from None
+    content = read_json_object(path, "operating points").get("points")
     if not isinstance(content, list) or not content:
         raise BadData("The file has no points.", str(path), "Run gw bench tradeoff again.")
     return [OperatingPoint.from_dict(point, str(path)) for point in content]

@@ -26,11 +26,11 @@ from stages.evaluate.parts import (
     score_pieces,
 )
 from stages.evaluate.result import MARK, RESULT_NAME, EvaluateResult, write_evaluation
-from stages.shared.artifacts.canonical import strict_json
 from stages.shared.capture import Take, open_capture
 from stages.shared.capture.images import decode, read_bytes
 from stages.shared.capture.labels import read_labels
 from stages.shared.errors import BadData, MissingInput
+from stages.shared.input_files import read_json
 from stages.shared.losses.perceptual import Perceptual
 from stages.shared.metrics.scores import ViewPair
 from stages.shared.outfit.sources import capture_take
@@ -128,16 +128,13 @@ def _files(frames: Path, take: Take, camera: str, row: int) -> list[Path]:
 def _rendered(frames: Path) -> dict[str, Any]:
     """What the render wrote about itself."""
     path = frames / "result.json"
-    try:
-        shown = strict_json(path.read_bytes())
-    except (FileNotFoundError, NotADirectoryError) as error:
+    if not path.is_file():
         raise MissingInput(
-            "This is no folder of rendered frames.",
+            "This is not a folder of rendered frames.",
             str(path),
             "Make one: gw render … --cameras CAPTURE -o DIR.",
-        ) from error
-    except ValueError as error:
-        raise BadData(f"It is not JSON ({error}).", str(path), "Render again.") from error
+        )
+    shown = read_json(path, "the result of a render")
     cameras = shown.get("cameras") if isinstance(shown, dict) else None
     rows = shown.get("frames") if isinstance(shown, dict) else None
     whole = isinstance(cameras, list) and all(isinstance(name, str) for name in cameras)

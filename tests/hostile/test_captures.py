@@ -154,7 +154,7 @@ CASES: dict[str, tuple[Callable[[Path], object], type[GwError], str, str]] = {
         lambda r: edit_json(r / "cameras.json", entry(0, intrinsics=[[NAN, 0, 1], [0, 1, 1], [0, 0, 1]])),
         BadData,
         "NaN",
-        "camera 0",
+        "cameras.json",
     ),
     "text as width": (
         lambda r: edit_json(r / "cameras.json", entry(0, width="wide")),
@@ -180,7 +180,7 @@ CASES: dict[str, tuple[Callable[[Path], object], type[GwError], str, str]] = {
         "no cameras",
         "cameras.json",
     ),
-    "no calibration": (lambda r: (r / "cameras.json").unlink(), MissingInput, "not there", "cameras.json"),
+    "no calibration": (lambda r: (r / "cameras.json").unlink(), MissingInput, "no file", "cameras.json"),
     "broken JSON": (lambda r: cut(r / "cameras.json"), BadData, "JSON", "cameras.json"),
     "deep JSON": (lambda r: (r / "cameras.json").write_text("[" * 200_000), BadData, "JSON", "cameras.json"),
     "take with a path": (

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from stages.shared.errors import BadData
+from stages.shared.input_files import strict_json
 
 KEY_LENGTH = 32  # hex characters; 128 bits name a folder without paths growing too long
 
@@ -116,24 +117,4 @@ def unseal(data: bytes, path: Path) -> dict[str, Any]:
             str(path),
             "Run the stage that wrote it again; `gw verify` lists everything that is damaged.",
         ) from error
-    return value
-
-
-def strict_json(data: bytes) -> Any:
-    """Parse JSON as the standard has it: no NaN, no Infinity, no name twice.
-
-    Raises:
-        ValueError: anything else.
-    """
-    return json.loads(data.decode("utf-8"), parse_constant=_refuse_constant, object_pairs_hook=_unique)
-
-
-def _refuse_constant(name: str) -> float:
-    raise ValueError(f"{name} is not JSON")
-
-
-def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    value = dict(pairs)
-    if len(value) != len(pairs):
-        raise ValueError("a name stands twice in one object")
     return value

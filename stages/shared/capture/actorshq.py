@@ -18,10 +18,10 @@ import numpy as np
 from stages.shared.body.model import BodyModel
 from stages.shared.capture.camera import Camera, checked_camera
 from stages.shared.capture.gather import make_take, numbered_files, read_missing_list, read_poses, view_files
-from stages.shared.capture.json_file import read_json_object
 from stages.shared.capture.rotation import rotation_of_axis_angle
 from stages.shared.capture.take import Capture, Split, Take, ViewFiles
 from stages.shared.errors import BadData, MissingInput
+from stages.shared.input_files import read_json_object
 
 FORMAT = "actorshq"
 ACTORSHQ_FPS = 25.0
@@ -65,7 +65,7 @@ def open_actorshq(root: Path, body: BodyModel | None, body_model_path: Path | No
 def _read_sequence(folder: Path, place: int, count: int, body: BodyModel | None) -> Take:
     sequence = folder.parent
     scene_path = sequence / "scene.json"
-    scene = read_json_object(scene_path) if scene_path.is_file() else {}
+    scene = read_json_object(scene_path, "a description of the sequence") if scene_path.is_file() else {}
     cameras = read_calibration(folder / "calibration.csv")
     missing = read_missing_list(folder)
     notes: list[str] = []

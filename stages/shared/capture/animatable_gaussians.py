@@ -19,9 +19,9 @@ import numpy as np
 from stages.shared.body.model import BodyModel
 from stages.shared.capture.camera import Camera, checked_camera
 from stages.shared.capture.gather import make_take, numbered_files, read_missing_list, read_poses, view_files
-from stages.shared.capture.json_file import read_json_object
 from stages.shared.capture.take import Capture
 from stages.shared.errors import BadData
+from stages.shared.input_files import read_json_object
 
 USUAL_FPS: Final = 30.0
 _PICTURE: Final = re.compile(r"(\d+)\.(?:jpg|jpeg|png)")
@@ -90,7 +90,7 @@ def read_calibration_json(path: Path) -> dict[str, Camera]:
         BadData: no cameras, unusable names, missing or wrong numbers.
     """
     cameras = {}
-    for name, entry in read_json_object(path).items():
+    for name, entry in read_json_object(path, "a calibration").items():
         where = f"{path}: {name}"
         if not _NAME.fullmatch(name) or set(name) == {"."}:
             raise BadData(

@@ -10,9 +10,9 @@ from stages.shared.body.model import BodyModel
 from stages.shared.body.poses import DEFAULT_FPS
 from stages.shared.capture.camera import Camera, checked_camera
 from stages.shared.capture.gather import make_take, numbered_files, read_missing_list, read_poses, view_files
-from stages.shared.capture.json_file import read_json_object
 from stages.shared.capture.take import Capture, Take
 from stages.shared.errors import BadData
+from stages.shared.input_files import read_json_object
 
 FORMAT: Final = "native"
 FORMAT_MARK: Final = "gw-capture"
@@ -29,7 +29,7 @@ def is_native(root: Path) -> bool:
 def open_native(root: Path, body: BodyModel | None, body_model_path: Path | None) -> Capture:
     """The takes that `capture.json` lists."""
     path = root / "capture.json"
-    description = read_json_object(path)
+    description = read_json_object(path, "a description of the capture")
     if description.get("format") != FORMAT_MARK:
         raise BadData(
             f"format is {description.get('format')!r}, not {FORMAT_MARK!r}.",
@@ -114,7 +114,7 @@ def read_cameras(path: Path) -> tuple[dict[str, Camera], frozenset[str]]:
         MissingInput: no such file.
         BadData: entries missing or of the wrong shape, NaN, matrices that are no rotation.
     """
-    entries = read_json_object(path).get("cameras")
+    entries = read_json_object(path, "a description of the capture").get("cameras")
     if not isinstance(entries, list) or not entries:
         raise BadData("cameras.json lists no cameras.", str(path), "Add an entry to cameras.")
     cameras: dict[str, Camera] = {}

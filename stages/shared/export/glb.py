@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from stages.shared.artifacts import write_whole
 from stages.shared.errors import BadData, MissingInput
+from stages.shared.input_files import strict_json
 
 ARRAY_BUFFER, ELEMENT_BUFFER = 34962, 34963
 _MAGIC, _JSON, _BINARY = 0x46546C67, 0x4E4F534A, 0x004E4942
@@ -107,8 +108,8 @@ class GlbReader:
         if magic != _MAGIC or version != 2 or total != len(data) or kind != _JSON or 20 + length > total:
             raise self._refused("of its header")
         try:
-            self.content: dict[str, Any] = json.loads(data[20 : 20 + length])
-        except (ValueError, RecursionError) as error:
+            self.content: dict[str, Any] = strict_json(data[20 : 20 + length])
+        except ValueError as error:
             raise self._refused("its JSON cannot be read") from error
         if not isinstance(self.content, dict):
             raise self._refused("its JSON is no object")

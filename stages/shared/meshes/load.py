@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import struct
 from pathlib import Path
 from typing import Any, Final
@@ -12,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.shared.artifacts.files import write_whole
-from stages.shared.errors import BadData, MissingInput, StorageFailure
+from stages.shared.errors import BadData
+from stages.shared.input_files import check_input_file, read_input, strict_json, without_mark
 from stages.shared.meshes.mesh import Mesh, check_mesh
 from stages.shared.meshes.ply import decode_ply, encode_ply
 
@@ -30,12 +30,7 @@ def load_mesh(path: Path) -> Mesh:
     path = Path(path)
     check_mesh_file(path)
     suffix = path.suffix.lower()
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise StorageFailure(
-            f"Reading failed: {error.strerror}.", str(path), "Check the permissions."
-        ) from error
+    data = without_mark(read_input(path, "a mesh", MAX_FILE_BYTES))
     mesh = decode_ply(data, str(path)) if suffix == ".ply" else _decode_with_trimesh(data, suffix[1:], path)
     return check_mesh(mesh, str(path))
 
@@ -43,14 +38,11 @@ def load_mesh(path: Path) -> Mesh:
 def check_mesh_file(path: Path) -> None:
     """Raise MissingInput or BadData for what is no mesh file that could be read, without reading it."""
     suffix = path.suffix.lower()
-    if not path.is_file():
-        raise MissingInput("There is no such mesh file.", str(path), "Check the path.")
+    check_input_file(path, "a mesh", MAX_FILE_BYTES)
     if suffix not in FORMATS:
         raise BadData(
             f"Meshes of type {suffix or 'unknown'} are not read.", str(path), f"Use {', '.join(FORMATS)}."
         )
-    if path.stat().st_size > MAX_FILE_BYTES:
-        raise BadData("The mesh file is larger than 2 GiB.", str(path), "Simplify the mesh.")
 
 
 def write_ply(path: Path, mesh: Mesh, normals: NDArray[np.float32] | None = None) -> None:
@@ -89,9 +81,9 @@ def _check_glb_counts(data: bytes, path: Path) -> None:
     """Refuse a header that claims more values than the file has bytes: they would be allocated."""
     try:
         (length,) = struct.unpack_from("<I", data, 12)
-        accessors = json.loads(data[20 : 20 + length])["accessors"]
+        accessors = strict_json(data[20 : 20 + length])["accessors"]
         counts = [int(accessor["count"]) for accessor in accessors]
-    except (struct.error, ValueError, KeyError, TypeError, RecursionError) as error:
+    except (struct.error, ValueError, KeyError, TypeError) as error:
         raise BadData("The GLB file has no readable header.", str(path), "Export the mesh again.") from error
     if counts and max(counts) > len(data):
         raise BadData(

@@ -15,10 +15,11 @@ from pathlib import Path
 from typing import Any
 
 from stages.shared.artifacts.bundle import BundleCard, read_bundle, read_card
-from stages.shared.artifacts.canonical import readable_json, strict_json
+from stages.shared.artifacts.canonical import readable_json
 from stages.shared.artifacts.files import make_folders, write_whole
 from stages.shared.artifacts.pictures import encode_png
 from stages.shared.errors import BadData, GwError, MissingInput, UsageProblem
+from stages.shared.input_files import read_json
 from stages.shared.outfit.describe import conflicts, fit
 
 OUTFIT_FORMAT = "gw-outfit"
@@ -145,14 +146,7 @@ def _read_outfit(path: Path) -> dict[str, Any]:
             f"It is no outfit file: {what}.", str(path), "Write one with gw tryon … --save-outfit."
         )
 
-    try:
-        if path.stat().st_size > _MAX_OUTFIT_BYTES:
-            raise wrong(f"it has more than {_MAX_OUTFIT_BYTES} bytes")
-        content = strict_json(path.read_bytes())
-    except OSError as error:
-        raise MissingInput("There is no such outfit file.", str(path), "Check the path.") from error
-    except (ValueError, RecursionError) as error:
-        raise wrong(f"not JSON ({error})") from error
+    content = read_json(path, "an outfit", _MAX_OUTFIT_BYTES)
     if not isinstance(content, dict) or content.get("format") != OUTFIT_FORMAT:
         raise wrong(f"its format is not {OUTFIT_FORMAT}")
     if content.get("version") != 1:

@@ -25,9 +25,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
-from stages.shared.artifacts.canonical import strict_json
 from stages.shared.capture.camera import Camera, checked_camera
-from stages.shared.errors import BadData, MissingInput
+from stages.shared.errors import BadData
+from stages.shared.input_files import read_json
 
 FORMAT = "gw-camera-path"
 _FIELD_OF_VIEW = 30.0
@@ -125,14 +125,7 @@ def _given_camera(entry: dict[str, Any], index: int, path: Path) -> Camera:
 
 
 def _read(path: Path) -> dict[str, Any]:
-    if not path.is_file():
-        raise MissingInput("There is no such camera path.", str(path), "Check --camera.")
-    if path.stat().st_size > _LARGEST_FILE:
-        raise _refused("it is larger than 64 MiB", path)
-    try:
-        content = strict_json(path.read_bytes())
-    except (ValueError, RecursionError) as error:
-        raise _refused(f"it is not JSON ({error})", path) from error
+    content = read_json(path, "a camera path", _LARGEST_FILE)
     if not isinstance(content, dict) or content.get("format") != FORMAT or content.get("version") != 1:
         raise _refused(f'it is not marked as "format": "{FORMAT}", "version": 1', path)
     return content

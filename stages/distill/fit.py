@@ -9,15 +9,14 @@ from torch import Tensor
 
 from stages.distill.config import DistillConfig
 from stages.distill.samples import Samples
-from stages.shared.avatar.blendshapes import (
-    GROUPS,
-    BlendshapeModel,
+from stages.shared.avatar.decoders.base import Decoder
+from stages.shared.avatar.decoders.blendshapes import (
+    BlendshapeDecoder,
     BlendshapeSizes,
     gaussian_kernel,
-    group_channels,
     neighbour_distance,
 )
-from stages.shared.avatar.decoder import AvatarModel
+from stages.shared.avatar.decoders.texel_attributes import BASIS_GROUPS, group_channels
 
 _WIDTHS = (1.0, 2.0, 4.0, 8.0)  # tried kernel widths, in typical distances between neighbouring poses
 _RIDGES = (1e-6, 1e-4, 1e-2)
@@ -43,7 +42,7 @@ class Components:
 class Fit:
     """A distilled layer and how well it answers poses that its kernel was not given (RMS, by group)."""
 
-    model: BlendshapeModel
+    model: BlendshapeDecoder
     components: dict[str, Components]
     unseen_error: dict[str, float]
 
@@ -76,7 +75,7 @@ def components(values: Tensor, unit: float, tolerance: float, most: int) -> Comp
     )
 
 
-def fit_layer(teacher: AvatarModel, residuals: Tensor, samples: Samples, config: DistillConfig) -> Fit:
+def fit_layer(teacher: Decoder, residuals: Tensor, samples: Samples, config: DistillConfig) -> Fit:
     """The blendshapes of a layer.
 
     Arguments:
@@ -89,13 +88,15 @@ def fit_layer(teacher: AvatarModel, residuals: Tensor, samples: Samples, config:
     tolerances = (config.offset_tolerance, config.color_tolerance, config.form_tolerance)
     parts = {
         group: components(centred[:, :, group_channels(group)], units[group], tolerance, most)
-        for group, tolerance, most in zip(GROUPS, tolerances, config.most, strict=True)
+        for group, tolerance, most in zip(BASIS_GROUPS, tolerances, config.most, strict=True)
     }
     scores = torch.cat([part.scores for part in parts.values()], dim=1).double()
     counts = {group: part.scores.shape[1] for group, part in parts.items()}
     ranks = (counts["offset"], counts["color"], counts["form"])
     model_config = replace(teacher.model_config, decoder="blendshapes", ranks=ranks, anchors=0)
-    model = BlendshapeModel(teacher.maps, model_config, BlendshapeSizes(**counts, centres=len(samples.poses)))
+    model = BlendshapeDecoder(
+        teacher.maps, model_config, BlendshapeSizes(**counts, centres=len(samples.poses))
+    )
     motions = samples.motions(model_config.history)
     described = model.fit_description(samples.poses, motions).double()
     width, ridge, unseen = _chosen_kernel(described, scores)

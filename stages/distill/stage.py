@@ -4,7 +4,7 @@ Reads:
     register-template: `smpl_params.npz`, `body.safetensors`. bake-maps: `<layer>.safetensors`.
     train: `<layer>.safetensors`, `model.json`. Pose files, if any are given.
 Writes, as train does:
-    `<layer>.safetensors`: state of a `BlendshapeModel`. `model.json`: {"layers": {name: its config}}.
+    `<layer>.safetensors`: state of a `BlendshapeDecoder`. `model.json`: {"layers": {name: its config}}.
 """
 
 from __future__ import annotations

@@ -24,8 +24,8 @@ from stages.pipeline import BAKE_MAPS, DISTILL, REGISTER_TEMPLATE, SEGMENT_LAYER
 from stages.shared.artifacts import Artifact, Workspace
 from stages.shared.artifacts.bundle import Bundle, write_bundle
 from stages.shared.artifacts.bundle_precision import PRECISIONS, halved
+from stages.shared.avatar.decoders.cost import costs
 from stages.shared.avatar.maps import LayerMaps
-from stages.shared.avatar.operations import costs
 from stages.shared.body import BodyModel, Poses
 from stages.shared.capture.labels import LAYERS
 from stages.shared.errors import MissingInput, UsageProblem
@@ -39,7 +39,7 @@ from stages.shared.targets import check_file_target
 _UNITS = {"length": "metre", "angle": "radian", "color": "sRGB 0..1"}
 _FRAMES = {
     "maps": "canonical pose (hips +-25 degrees about z, wrists -90 about x), zero shape, y up, facing +z",
-    "model": "LayerModel: base attributes per texel and networks on the posed positional map",
+    "model": "StyleUNetDecoder: base attributes per texel and networks on the posed positional map",
 }
 # Of the body model, what posing Gaussians and reading pose files needs; correctives are left out.
 _BODY_ARRAYS = (

@@ -5,22 +5,16 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-import torch
-
-from stages.shared.avatar.config import ModelConfig
+from stages.shared.avatar.decoders.base import DecoderCost
+from stages.shared.avatar.decoders.registry import decoder_class
 from stages.shared.avatar.maps import LayerMaps
-from stages.shared.avatar.positional import network_grid
-from stages.shared.nets.styleunet import StyleUNet, ViewNet
 from stages.train.config import TrainConfig
 
 # Measured on two cores, forward and backward: per Gaussian and camera and per camera (512² images), per
-# Gaussian (deformation and surface terms), per network whatever its size, and per weight and input pixel.
+# Gaussian (deformation and surface terms).
 _SECONDS_PER_GAUSSIAN_SEEN = 0.6e-6
 _SECONDS_PER_PICTURE = 0.02
 _SECONDS_PER_GAUSSIAN = 1.5e-6
-_SECONDS_PER_NETWORK = 0.05
-_SECONDS_PER_WEIGHT_PIXEL = 1.2e-12
-_SECONDS_PER_BASIS_NUMBER = 8e-9  # reckoned: seven passes over memory (there, back, Adam) at 4 GB/s
 _SECONDS_PER_TRACKED_VIEW = 0.15  # a frame in one camera, all rounds
 # Reckoned, not measured: VGG-16 there, back, and once for the truth at 100 GFLOP/s.
 _SECONDS_PER_PERCEIVED_PIXEL = 1.8e-5
@@ -28,14 +22,18 @@ _TRACKING_SHARE = 1 / 3
 _FLOAT = 4
 
 
-def parameters(maps: dict[str, LayerMaps], config: TrainConfig, anchors: int = 0) -> int:
-    """Learned numbers of all layers, `anchors` of which garments have where the model has any."""
-    base = 14 * sum(len(layer) for layer in maps.values()) if config.model.base else 0
-    if config.model.decoder == "blendshapes":
-        return base + sum(len(layer) for layer in maps.values()) * _basis_numbers(config.model)
-    cells = sum(_anchor_cells(layer, config.model) for layer in maps.values() if layer.layer != "body")
-    networks = sum(sum(network_parameters(layer, config.model)) for layer in maps.values())
-    return base + networks + 6 * anchors * cells
+def decoder_costs(
+    maps: dict[str, LayerMaps], config: TrainConfig, key_poses: int = 0
+) -> dict[str, DecoderCost]:
+    """Cost of every layer's decoder with so many key poses, where the settings have any."""
+    model = replace(config.model, anchors=key_poses if config.model.anchors else 0)
+    decoder = decoder_class(model.decoder)
+    return {name: decoder.cost(layer, model) for name, layer in maps.items()}
+
+
+def parameters(maps: dict[str, LayerMaps], config: TrainConfig, key_poses: int = 0) -> int:
+    """Learned numbers of all layers."""
+    return sum(cost.parameters for cost in decoder_costs(maps, config, key_poses).values())
 
 
 def seconds(maps: dict[str, LayerMaps], config: TrainConfig, tracked_views: int = 0) -> float:
@@ -43,13 +41,7 @@ def seconds(maps: dict[str, LayerMaps], config: TrainConfig, tracked_views: int 
     gaussians = sum(len(layer) for layer in maps.values())
     pictures = config.views_per_step * (gaussians * _SECONDS_PER_GAUSSIAN_SEEN + _SECONDS_PER_PICTURE)
     networks = gaussians * _SECONDS_PER_GAUSSIAN
-    if config.model.decoder == "blendshapes":
-        networks += gaussians * _basis_numbers(config.model) * _SECONDS_PER_BASIS_NUMBER
-    for layer in maps.values():
-        grid = network_grid(layer.window, config.model.factor, config.model.depth)
-        work = sum(network_parameters(layer, config.model)) * grid.height * grid.width
-        networks += len(config.model.networks_of(layer.layer)) * _SECONDS_PER_NETWORK
-        networks += work * _SECONDS_PER_WEIGHT_PIXEL
+    networks += sum(cost.seconds for cost in decoder_costs(maps, config).values())
     perceived = 2 * config.views_per_step * perceived_pixels(config) * _SECONDS_PER_PERCEIVED_PIXEL
     total = config.steps * (pictures + networks + perceived)
     if config.track.frame_step and config.model.anchors:
@@ -83,30 +75,3 @@ def disk_bytes(learned: int) -> int:
 def perceived_pixels(config: TrainConfig) -> int:
     """Of one crop that LPIPS sees; 0 without perceptual weights."""
     return config.perceptual_side**2 if config.perceptual_digest else 0
-
-
-def _basis_numbers(model: ModelConfig) -> int:
-    """Learned numbers of a texel's blendshapes."""
-    return sum(width * rank for width, rank in zip((3, 3, 8), model.ranks, strict=True))
-
-
-def _anchor_cells(layer: LayerMaps, model: ModelConfig) -> int:
-    """Of a side of the maps of an anchor."""
-    grid = network_grid(layer.window, model.factor, model.depth)
-    height, width = (math.ceil(side * model.factor / model.anchor_cell) for side in (grid.height, grid.width))
-    return height * width
-
-
-def network_parameters(layer: LayerMaps, model: ModelConfig) -> list[int]:
-    """Of every network of a layer, and of what shows it the view."""
-    grid = network_grid(layer.window, model.factor, model.depth)
-    inputs = 3 if model.input_views == "front" else 6
-    outputs = model.networks_of(layer.layer)
-    with torch.device("meta"):
-        networks: list[torch.nn.Module] = [
-            StyleUNet(inputs, count, (grid.height, grid.width), model.depth, model.width, model.style)
-            for count in outputs
-        ]
-        if outputs and model.view_conditioning:
-            networks.append(ViewNet(model.width))
-    return [sum(p.numel() for p in network.parameters()) for network in networks]

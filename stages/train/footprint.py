@@ -9,11 +9,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from stages.shared.avatar.config import ModelConfig
 from stages.shared.avatar.maps import LayerMaps
-from stages.shared.avatar.positional import network_grid
 from stages.train.config import PRESETS, TrainConfig
-from stages.train.cost import network_parameters, parameters, perceived_pixels
+from stages.train.cost import decoder_costs, perceived_pixels
 from stages.train.data import KEPT_BYTES, KEPT_BYTES_PER_PIXEL
 from stages.train.extent import Extent, extent_of
 from stages.train.footage import Footage
@@ -23,9 +21,6 @@ _FLOAT = 4
 _COPIES = 5  # value, gradient, two moments; one more while reading and writing
 _LIBRARIES = 540_000_000  # torch, compiled kernels and the rest, measured
 _PER_GAUSSIAN = 3000  # maps, and what a step makes of them; measured
-# Counted in the graph of a StyleUNet: kept activations in units of its widest level (64 channels times width
-# at input size), those that do not get wider with the rest, and kept modulated weights, in times the weights.
-_ACTIVATIONS, _ACTIVATIONS_OVER_WIDTH, _MODULATED = 36.5, 1.1, 1.6
 _GOING_BACK = 1.2  # gradients on their way, in times what is kept
 _PICTURE_FLOATS = 8  # of a pixel in a view: colour, three masks, outline; beside a channel for every layer
 _RENDER_FLOATS = 75  # of a pixel while its picture is drawn and compared
@@ -42,12 +37,14 @@ def anchors_of(config: TrainConfig, extent: Extent) -> int:
 
 def memory_bytes(maps: dict[str, LayerMaps], config: TrainConfig, extent: Extent) -> int:
     """Peak of a run with this (settled) configuration."""
-    learned = _COPIES * _FLOAT * parameters(maps, config, anchors_of(config, extent))
+    costs = decoder_costs(maps, config, anchors_of(config, extent)).values()
+    learned = _COPIES * _FLOAT * sum(cost.parameters for cost in costs)
     texels = _PER_GAUSSIAN * sum(len(layer) for layer in maps.values())
     perceived = 2 * perceived_pixels(config) * _BYTES_PER_PERCEIVED_PIXEL
-    pca = max((_pca_bytes(layer, config.model, extent) for layer in maps.values()), default=0)
+    pca = max((_PCA_FLOATS * _FLOAT * cost.fit_values * extent.learned for cost in costs), default=0)
     # The graph of a step is gone when the PCA is made.
-    step = _network_bytes(maps, config) + perceived
+    networks = [size for cost in costs for size in cost.activation_bytes] or [0.0]
+    step = _GOING_BACK * (max(networks) if config.recompute else sum(networks)) + perceived
     return int(_LIBRARIES + learned + texels + _picture_bytes(len(maps), config, extent) + max(step, pca))
 
 
@@ -76,25 +73,3 @@ def _picture_bytes(layers: int, config: TrainConfig, extent: Extent) -> int:
     return int(
         kept + max(followed, 2 * config.views_per_step * view * shown) + _RENDER_FLOATS * _FLOAT * shown
     )
-
-
-def _network_bytes(maps: dict[str, LayerMaps], config: TrainConfig) -> float:
-    """Of the graphs of all networks; of the largest one, where activations are not kept."""
-    model, found = config.model, [0.0]
-    for layer in maps.values():
-        grid = network_grid(layer.window, model.factor, model.depth)
-        widest = grid.height * grid.width * 64 * model.width
-        kept = widest * (_ACTIVATIONS + _ACTIVATIONS_OVER_WIDTH / model.width)
-        number = len(model.networks_of(layer.layer))
-        found += [kept + _MODULATED * weights for weights in network_parameters(layer, model)[:number]]
-    return _GOING_BACK * _FLOAT * (max(found) if config.recompute else sum(found))
-
-
-def _pca_bytes(layer: LayerMaps, model: ModelConfig, extent: Extent) -> float:
-    """Of the singular values of a layer's positional maps, frame by frame."""
-    if not model.pose_prior or not model.networks_of(layer.layer):
-        return 0.0
-    grid = network_grid(layer.window, model.factor, model.depth)
-    pixels = min(grid.height * grid.width, len(layer) / model.factor**2)
-    values = (3 if model.input_views == "front" else 6) * pixels
-    return _PCA_FLOATS * _FLOAT * values * extent.learned

@@ -24,7 +24,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from stages.shared.avatar.config import DECODERS, NETWORKS
+from stages.shared.avatar.config import NETWORKS
+from stages.shared.avatar.decoders.registry import decoder_class
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.capture import LAYER_OF_LABEL, LAYERS
 from stages.shared.errors import MissingInput, UsageProblem
@@ -33,6 +34,7 @@ from stages.train.config import METHODS, TrainConfig
 from stages.train.window import SMALLEST
 
 WHOLE, CLOTHING = "whole", "clothing"
+BASELINE_DECODER = "styleunet"
 _PUBLISHED_OFFSET = 0.005
 _POKES_THROUGH = 0.01  # m: a fitted body that is in front of cloth by less than this lies beneath it
 _LARGEST_STEP = 0.03  # m in depth between neighbouring texels
@@ -70,14 +72,13 @@ def settled(config: TrainConfig) -> TrainConfig:
             "option --patch",
             f"Give at least {SMALLEST}, or 0 for whole pictures.",
         )
-    if config.model.decoder not in DECODERS or config.model.networks not in NETWORKS:
+    if config.model.networks not in NETWORKS:
         raise UsageProblem(
-            f"There is no decoder {config.model.decoder!r} with networks {config.model.networks!r}.",
-            "options --decoder and --networks",
-            f"Choose of {', '.join(DECODERS)}; and of {', '.join(NETWORKS)}.",
+            f"No layers are called {config.model.networks!r}.",
+            "option --networks",
+            f"Choose of {', '.join(NETWORKS)}.",
         )
-    if config.model.decoder == "blendshapes":
-        config = _with_blendshapes(config)
+    config = _with_decoder(config)
     weights = config.weights
     if config.method == "animatable-gaussians":
         weights = replace(
@@ -96,18 +97,17 @@ def settled(config: TrainConfig) -> TrainConfig:
     return ablated(replace(config, weights=weights))
 
 
-def _with_blendshapes(config: TrainConfig) -> TrainConfig:
-    """Without what only networks and anchors have. Attributes per texel are what bases add to."""
-    if config.method != METHODS[0]:
+def _with_decoder(config: TrainConfig) -> TrainConfig:
+    """Without the settings that the decoder does not have."""
+    decoder = decoder_class(config.model.decoder)
+    if config.method != METHODS[0] and config.model.decoder != BASELINE_DECODER:
         raise UsageProblem(
             f"The baseline {config.method} is made of networks.",
             "options --method and --decoder",
             "Leave one of them out.",
         )
-    model = replace(
-        config.model, networks="none", anchors=0, pose_prior=0, view_conditioning=False, base=True
-    )
-    return replace(config, model=model, track=replace(config.track, frame_step=0))
+    track = config.track if decoder.followed else replace(config.track, frame_step=0)
+    return replace(config, model=decoder.resolved(config.model), track=track)
 
 
 def method_layers(method: str, maps: dict[str, LayerMaps], betas: Tensor) -> MethodLayers:

@@ -8,8 +8,9 @@ from typing import Any
 
 import torch
 
+from stages.shared.avatar.decoders.cost import costs, joints_used, multiply_adds
+from stages.shared.avatar.decoders.registry import decoder_class
 from stages.shared.avatar.maps import LayerMaps
-from stages.shared.avatar.operations import costs, joints_used, multiply_adds
 from stages.shared.avatar.pose import frame_pose
 from stages.shared.avatar.used_joints import GROUPS, describe_rest
 from stages.shared.body import BodyModel, Poses
@@ -39,7 +40,7 @@ def scene_requirements(
             "sheets": layer.views,
             "share_of_the_grid": round(layer.window[2] * layer.window[3] / layer.grid_size**2, 3),
             "joints": joints_used(layer, tuple(rest)),
-            "multiply_adds_per_frame": multiply_adds(layer, shape, anchors, resting=tuple(rest)),
+            "multiply_adds_per_frame": multiply_adds(layer, shape, anchors, tuple(rest)),
         }
         for name, layer in maps.items()
     }
@@ -70,8 +71,7 @@ def _left_out(maps: Mapping[str, LayerMaps], rest: dict[str, str], config: Train
     for name, layer in maps.items():
         if layer.views <= 2:
             found[f"further sheets of {name}"] = "views from front and back leave at most 1 % of it unseen"
-        if not model.networks_of(layer.layer) and model.decoder == "styleunet":
-            found[f"networks of {name}"] = f"--networks {model.networks}"
+        found |= decoder_class(model.decoder).omitted(layer, model)
         idle = [group for group in GROUPS if group not in rest and not _follows(layer, group)]
         if idle:
             found[f"joints of {name}: {', '.join(idle)}"] = "no texel follows them"

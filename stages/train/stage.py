@@ -7,8 +7,8 @@ Reads:
     a file of perceptual weights (docs/formats.md), if one is given.
     another subject's training and maps, if layers start from there (`stages/train/start.py`).
 Writes:
-    `<layer>.safetensors`: base attributes (N, …) f32 per texel and network weights (`TexelAttributes.state`).
-    `model.json`: {"layers": {name: `TexelAttributes.config`}}, inner to outer; "grids" of own maps.
+    `<layer>.safetensors`: base attributes (N, …) f32 per texel and network weights (`Decoder.state`).
+    `model.json`: {"layers": {name: `Decoder.config`}}, inner to outer; "grids" of own maps.
     `maps-<layer>.safetensors`: of layers with other maps than those of bake-maps.
     `metrics.jsonl`: one line per few steps: losses, gradient norm, seconds by part.
     `previews/*.png`: truth | render | labels.
@@ -28,7 +28,8 @@ from stages.pipeline import TRAIN
 from stages.shared.artifacts import Progress, Workspace, require_room
 from stages.shared.artifacts.external import file_digest
 from stages.shared.artifacts.result import StageResult
-from stages.shared.avatar.decoder import AvatarModel, new_model
+from stages.shared.avatar.decoders.base import Decoder
+from stages.shared.avatar.decoders.registry import new_decoder
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.body import BodyModel
 from stages.shared.device import check_device
@@ -243,14 +244,14 @@ def _trainer(
     )
     shape, start = replace(config.model, anchors=anchors), source.start
     known = {name: known_model(worn, device) for name, worn in start.layers.items()}
-    models: dict[str, AvatarModel] = {}
+    models: dict[str, Decoder] = {}
     for index, (name, layer) in enumerate(maps.items()):
         if name in start.frozen:
             models[name] = known[name]
         elif name in start.layers:
             models[name] = begun_model(start.layers[name], shape, device)
         else:
-            models[name] = new_model(layer.to(device), shape, frames, seed=config.seed + index).to(device)
+            models[name] = new_decoder(layer.to(device), shape, frames, seed=config.seed + index).to(device)
     config = replace(config, weights=start.weights(config.weights))
     template_frame = int(source.registered.summary.get("frame", 0))
     return Trainer(config, models, views, device, perceptual, template_frame, known, processes)

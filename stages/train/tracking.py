@@ -17,9 +17,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from stages.shared.avatar.anchors import AnchorOffsets
 from stages.shared.avatar.compose import Composite, compose
-from stages.shared.avatar.decoder import AvatarModel
+from stages.shared.avatar.decoders.base import Decoder
+from stages.shared.avatar.decoders.key_poses import KeyPoseOffsets
 from stages.shared.avatar.deform import PosedGaussians, blended, pose_layer
 from stages.shared.avatar.pose import FramePose
 from stages.train.begin import Beginnings
@@ -42,8 +42,8 @@ _FOLLOWING = 0.5  # share of the last frame's motion that is expected to go on
 class _Tracked:
     """One layer that is followed."""
 
-    model: AvatarModel
-    anchors: AnchorOffsets
+    model: Decoder
+    anchors: KeyPoseOffsets
     cells: Cells
     size: tuple[int, int]  # of the coarse maps that the cells belong to
     found: Tensor  # (K, M, 3) m, what was found of every anchor's frame
@@ -62,7 +62,7 @@ class Tracker:
     def __init__(
         self,
         config: TrackConfig,
-        models: dict[str, AvatarModel],
+        models: dict[str, Decoder],
         views: TrainingViews,
         frames: list[int],
         start: int,
@@ -73,7 +73,11 @@ class Tracker:
         self.start = start
         self.route = route(views.footage.groups(frames), start, self._described())
         self.order = self.route.order
-        self.tracked = {n: _tracked(model, config.cell) for n, model in models.items() if has_anchors(model)}
+        self.tracked = {
+            name: _tracked(model, model.key_poses, config.cell)
+            for name, model in models.items()
+            if model.key_poses is not None
+        }
         self.begun = begun
         known = begun.offsets(frames[start]) if begun else {}
         self.beginning = {n: fitted_cells(self.tracked[n].cells, offsets) for n, offsets in known.items()}
@@ -251,20 +255,15 @@ def route(groups: list[list[int]], start: int, described: Tensor) -> Route:
     return Route(order, before, frozenset(entries))
 
 
-def has_anchors(model: AvatarModel) -> bool:
-    """Whether a model's garments can be followed."""
-    return getattr(model, "anchors", None) is not None
-
-
-def _tracked(model: Any, cell: int) -> _Tracked:
-    height, width = model.anchors.offsets.shape[2:]
-    ratio = max(1, round(cell / model.model_config.anchor_cell))
+def _tracked(model: Decoder, key_poses: KeyPoseOffsets, cell: int) -> _Tracked:
+    height, width = key_poses.offsets.shape[2:]
+    ratio = max(1, round(cell / key_poses.cell))
     if height % ratio or width % ratio:
         ratio = 1
     size = (height // ratio, width // ratio)
-    cells = Cells.of(model.maps, model.sample_points, size)
-    found = torch.zeros(len(model.anchors.offsets), len(cells.where), 3)
-    return _Tracked(model, model.anchors, cells, size, found)
+    cells = Cells.of(model.maps, key_poses.points, size)
+    found = torch.zeros(len(key_poses.offsets), len(cells.where), 3)
+    return _Tracked(model, key_poses, cells, size, found)
 
 
 def _offsets(layer: _Tracked, index: int) -> Floats:

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from stages.shared.avatar.compose import compose
-from stages.shared.avatar.decoder import AvatarModel
+from stages.shared.avatar.decoders.base import Decoder
 from stages.shared.avatar.deform import PosedGaussians, pose_layer, view_cosines
 from stages.shared.avatar.motion import recent_motion
 from stages.shared.avatar.pose import FramePose, frame_pose
@@ -29,7 +29,7 @@ from stages.train.distributed import ALONE, Processes
 from stages.train.leaves import detached, give_gradients, roots, take_gradients
 from stages.train.objective import Lens, Surfaces, picture_terms, surface_terms, weighted
 from stages.train.optimizer import adam, named_parameters
-from stages.train.tracking import Tracker, has_anchors
+from stages.train.tracking import Tracker
 from stages.train.warm_up import warm_up
 from stages.train.window import Window
 
@@ -71,15 +71,15 @@ class Trainer:
     def __init__(
         self,
         config: TrainConfig,
-        models: dict[str, AvatarModel],
+        models: dict[str, Decoder],
         views: TrainingViews,
         device: torch.device,
         perceptual: Perceptual | None = None,
         template_frame: int = 0,
-        known: Mapping[str, AvatarModel] | None = None,
+        known: Mapping[str, Decoder] | None = None,
         processes: Processes = ALONE,
     ) -> None:
-        if not any(has_anchors(model) for model in models.values()):  # nothing that could be followed
+        if not any(model.key_poses for model in models.values()):  # nothing that could be followed
             config = replace(config, track=replace(config.track, frame_step=0))
         self.config, self.models, self.views, self.device = config, models, views, device
         self.processes = processes
@@ -89,8 +89,8 @@ class Trainer:
         self.frames = views.frames(config.frame_step)
         self.cameras = views.footage.training_cameras
         self.surfaces = Surfaces.of({name: model.maps for name, model in models.items()})
-        for network in (one for model in models.values() for one in getattr(model, "networks", ())):
-            network.recompute = config.recompute
+        for model in models.values():
+            model.keep_activations(not config.recompute)
         self.parameters = dict(named_parameters(models))
         self.optimizer = adam(config, models)
         self._poses: dict[int, FramePose] = {}

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from stages.shared.avatar.compose import compose
-from stages.shared.avatar.decoder import AvatarModel
+from stages.shared.avatar.decoders.base import Decoder
 from stages.shared.avatar.deform import PosedGaussians, pose_layer
 from stages.shared.avatar.pose import FramePose
 from stages.train.config import LearningRates, LossWeights
@@ -22,7 +22,7 @@ _ADAM_EPSILON = 1e-15
 
 
 def warm_up(
-    models: dict[str, AvatarModel],
+    models: dict[str, Decoder],
     views: TrainingViews,
     frame: int,
     pose: FramePose,

@@ -45,7 +45,7 @@ def test_there_are_enough() -> None:
         *("rotation_matrices", "unit_quaternions", "slerp", "skin", "inverse_skin", "bone_transforms"),
         *("VoxelField.sample", "inverse_distance_matrix", "shaped_positions", "shaped_vertices"),
         *("Camera.project", "perspective", "image_covariances", "rasterize (reference)", "rasterize (cpu)"),
-        *("face_normals", "vertex_normals", "estimate_normals", "PosePrior", "AnchorOffsets"),
+        *("face_normals", "vertex_normals", "estimate_normals", "PosePrior", "KeyPoseOffsets"),
         *("PoseCoefficients", "recent_motion", "resample", "decoder to picture", "smooth_field"),
         *("arrays on disk", "16-bit tensor", "16-bit skin weights", "pack_body"),
     }

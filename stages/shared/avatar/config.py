@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-DECODERS = ("styleunet", "blendshapes")
 NETWORKS = ("all", "garments", "none")
 
 
@@ -24,7 +23,7 @@ class ModelConfig:
             sampled bilinearly).
         input_views: "front" or "both".
         normalise: the network sees how far a pose departs from the mean training pose, in units of the usual
-            departure (`LayerModel.fit_input`), instead of positions in metres.
+            departure (`StyleUNetDecoder.fit_input`), instead of positions in metres.
         anchors: poses whose offsets are learned freely and blended by likeness, for garments (the body
             follows its bones); 0 for none. At most the number of training frames. anchor_cell: texels per
             cell of their coarse maps. anchor_widths: "shared", one kernel width for all anchors, or "own", as

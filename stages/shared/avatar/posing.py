@@ -1,4 +1,4 @@
-"""Posing without gradients, in one pass: what `TexelAttributes.attributes` and `pose_layer` do, fused.
+"""Posing without gradients, in one pass: what `Decoder.attributes` and `pose_layer` do, fused.
 
 For playing, not for training: activations, re-shaping, swap, skinning and covariances of a texel happen in
 registers, bones with no weight are skipped, and results go into buffers that the caller owns. Normals are not
@@ -16,17 +16,21 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from stages.shared.avatar.blendshapes import GROUPS, BlendshapeModel, group_channels
+from stages.shared.avatar.decoders.base import Decoder, LinearResidual
+from stages.shared.avatar.decoders.texel_attributes import (
+    BASIS_GROUPS,
+    CHANNELS,
+    MIN_SCALE,
+    group_channels,
+)
 from stages.shared.avatar.deform import shaped_positions
-from stages.shared.avatar.model import LayerModel
 from stages.shared.avatar.pose import FramePose
 from stages.shared.avatar.posing_kernel import BLOCK, carry_texels, pose_texels
-from stages.shared.avatar.texel_attributes import CHANNELS, MIN_SCALE, TexelAttributes
 from stages.shared.splat.kernels.threads import run_together
 
 LEAST_WEIGHT = 1e-6  # a bone with less moves a texel by less than a thousandth of a millimetre
 
-_CHANNELS = np.array([channel for group in GROUPS for channel in group_channels(group)])
+_CHANNELS = np.array([channel for group in BASIS_GROUPS for channel in group_channels(group)])
 
 Floats = NDArray[np.float32]
 
@@ -70,7 +74,7 @@ class PosedLayer:
 
     def __init__(
         self,
-        model: TexelAttributes,
+        model: Decoder,
         betas: Tensor,
         replacements: tuple[Replacement, ...] = (),
         kept: NDArray[np.bool_] | None = None,
@@ -79,8 +83,10 @@ class PosedLayer:
         rows = None if kept is None else torch.from_numpy(np.flatnonzero(kept))
         self.count = len(model.maps) if rows is None else len(rows)
         self._rows, self.history = rows, config.history
-        self.bases = _blocks(model, rows)
-        self._residual = _constant_residual(model, rows)
+        linear = model.linear_residual()
+        self._linear = linear
+        self.bases = _blocks(linear, self.count, rows)
+        self._mean_residual = None if linear is None else _chosen(linear.mean, rows)
         self.rest = _chosen(shaped_positions(model.maps, betas), rows).numpy()
         base = torch.cat(
             [getattr(model, f"base_{name}").detach().reshape(len(model.maps), -1) for name in CHANNELS], 1
@@ -98,7 +104,7 @@ class PosedLayer:
         )
         self.bounded = config.color == "sigmoid"
         # No pose changes colours, opacities and form of a layer whose residual is constant: kept once known.
-        self.constant = self._residual is not None and not any(len(b) and b.shape[1] for b in self.bases)
+        self.constant = linear is not None and not any(len(b) and b.shape[1] for b in self.bases)
         self._canonical: tuple[Floats, Floats, Floats] | None = None
         self._looks: tuple[Floats, Floats] | None = None
         self.replacements = _stacked(replacements, len(model.maps), kept)
@@ -149,12 +155,12 @@ class PosedLayer:
         *kept: Floats,
     ) -> None:
         """The whole of it; `pose` is not needed by a layer that no pose changes."""
-        model, residual, coefficients = self.model, self._residual, torch.zeros(0)
-        if pose is not None and isinstance(model, BlendshapeModel):
-            coefficients = model.coefficients(pose.local_transforms, motion)
+        linear, residual, coefficients = self._linear, self._mean_residual, torch.zeros(0)
+        if pose is not None and linear is not None and linear.coefficients is not None:
+            coefficients = linear.coefficients(pose.local_transforms, motion)
         if residual is None:
             assert pose is not None
-            residual = _chosen(model.residual(pose.local_transforms, motion=motion), self._rows)
+            residual = _chosen(self.model.residual(pose.local_transforms, motion=motion), self._rows)
         run_together(
             pose_texels, residual.numpy(), coefficients.numpy(), *self.bases, _CHANNELS,
             self.base, self.limits, self.bounded, self.rest,
@@ -167,30 +173,19 @@ def _chosen(values: Tensor, rows: Tensor | None) -> Tensor:
     return values if rows is None else values[rows]
 
 
-def _constant_residual(model: TexelAttributes, rows: Tensor | None) -> Tensor | None:
-    """The residual (N, 14) that no pose changes; None where networks or anchors answer it whole."""
-    if isinstance(model, BlendshapeModel):
-        return _chosen(model.mean_residual, rows)
-    if isinstance(model, LayerModel) and model.anchors is None and not len(model.networks):
-        return torch.zeros(len(model.maps) if rows is None else len(rows), 14)
-    return None
-
-
-def _blocks(model: TexelAttributes, rows: Tensor | None) -> tuple[Floats, ...]:
+def _blocks(linear: LinearResidual | None, count: int, rows: Tensor | None) -> tuple[Floats, ...]:
     """Bases of every group by blocks of texels (⌈N / BLOCK⌉, K, C, BLOCK): read in one run, in order."""
-    blocks = -(-(len(model.maps) if rows is None else len(rows)) // BLOCK)
-    found = []
-    for group in GROUPS:
-        channels = len(group_channels(group))
-        if not isinstance(model, BlendshapeModel):
-            found.append(np.zeros((blocks, 0, channels, BLOCK), np.float32))
+    blocks, arrays = -(-count // BLOCK), []
+    for group in BASIS_GROUPS:
+        if linear is None or linear.bases is None:
+            arrays.append(np.zeros((blocks, 0, len(group_channels(group)), BLOCK), np.float32))
             continue
-        basis = _chosen(getattr(model, f"basis_{group}").detach(), rows).numpy()
+        basis = _chosen(linear.bases[group].detach(), rows).numpy()
         padded = np.zeros((blocks * BLOCK, *basis.shape[1:]), np.float32)
         padded[: len(basis)] = basis
         by_block = padded.reshape(blocks, BLOCK, *basis.shape[1:])
-        found.append(np.ascontiguousarray(by_block.transpose(0, 3, 2, 1)))
-    return tuple(found)
+        arrays.append(np.ascontiguousarray(by_block.transpose(0, 3, 2, 1)))
+    return tuple(arrays)
 
 
 def _sparse(weights: Floats) -> tuple[NDArray[np.int32], NDArray[np.int32], Floats]:

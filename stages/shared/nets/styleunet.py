@@ -43,7 +43,7 @@ class Encoder(nn.Module):
         return features
 
 
-class Decoder(nn.Module):
+class MapDecoder(nn.Module):
     """Styled convolutions from level depth−1 up to 0, with Haar bands added from level to level."""
 
     def __init__(self, outputs: int, depth: int, width: float, style: int) -> None:
@@ -95,7 +95,7 @@ class StyleUNet(nn.Module):
         # fuse[0] works on the deepest features alone; the others join decoder and encoder features.
         self.fuse = nn.ModuleList([EncoderConv(channels[depth], channels[depth], 3)])
         self.fuse.extend(EncoderConv(2 * channels[i], channels[i], 3) for i in range(depth - 1, 0, -1))
-        self.decoders = nn.ModuleList(Decoder(outputs, depth, width, style) for _ in range(2))
+        self.decoders = nn.ModuleList(MapDecoder(outputs, depth, width, style) for _ in range(2))
         for level in range(depth):
             height, span = size[0] // 2**level, size[1] // 2**level
             self.register_buffer(f"noise_{level}", torch.randn(1, 1, height, span))
@@ -118,7 +118,7 @@ class StyleUNet(nn.Module):
         deepest = self.fuse[0](features[-1])
         pictures = []
         for view in range(2):
-            decoder: Decoder = self.decoders[view]  # type: ignore[assignment]
+            decoder: MapDecoder = self.decoders[view]  # type: ignore[assignment]
             added = None if view_features is None else view_features[view]
             pictures.append(self._decode(decoder, deepest, features, style, added))
         return torch.stack(pictures, dim=1)
@@ -132,7 +132,7 @@ class StyleUNet(nn.Module):
 
     def _decode(
         self,
-        decoder: Decoder,
+        decoder: MapDecoder,
         deepest: Tensor,
         features: list[Tensor],
         style: Tensor,

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from stages.shared.artifacts.bundle import BundleCard
-from stages.shared.avatar.components import bytes_by_component
+from stages.shared.avatar.decoders.components import bytes_by_component
 
 _BYTES = {"F32": 4, "F16": 2, "I32": 4, "U8": 1}
 _SCORES = ("psnr", "psnr_foreground", "ssim", "iou", "miou", "steps", "seconds")

@@ -12,7 +12,8 @@ from torch import Tensor
 from stages.shared.artifacts import Artifact
 from stages.shared.artifacts.bundle import Bundle
 from stages.shared.artifacts.bundle_precision import whole
-from stages.shared.avatar.decoder import AvatarModel, load_model
+from stages.shared.avatar.decoders.base import Decoder
+from stages.shared.avatar.decoders.registry import load_decoder
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.capture.labels import LABELS, LAYERS
 
@@ -63,7 +64,7 @@ class WornLayer:
     name: str
     slots: tuple[str, ...]
     maps: LayerMaps
-    model: AvatarModel
+    model: Decoder
     source: str = ""
     beneath: Beneath | None = None
     skin: Skin | None = None
@@ -125,9 +126,9 @@ def layer_of_training(name: str, baked: Artifact, trained: Artifact) -> WornLaye
     return WornLayer(name, slots, maps, model, trained.digest, layer_ids=ids)
 
 
-def _model(config: dict[str, Any], maps: LayerMaps, arrays: dict[str, np.ndarray]) -> AvatarModel:
+def _model(config: dict[str, Any], maps: LayerMaps, arrays: dict[str, np.ndarray]) -> Decoder:
     tensors = {name: torch.from_numpy(np.array(array, dtype=np.float32)) for name, array in arrays.items()}
-    model = load_model(config, maps, tensors).eval()
+    model = load_decoder(config, maps, tensors).eval()
     for parameter in model.parameters():
         parameter.requires_grad_(False)
     return model

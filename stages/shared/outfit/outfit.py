@@ -13,7 +13,6 @@ from stages.shared.artifacts import Artifact
 from stages.shared.artifacts.bundle import Bundle
 from stages.shared.avatar.compose import Composite, compose, relabelled
 from stages.shared.avatar.deform import PosedGaussians, pose_layer
-from stages.shared.avatar.model import LayerModel
 from stages.shared.avatar.motion import recent_motion
 from stages.shared.avatar.pose import frame_pose
 from stages.shared.body import BodyModel, Poses
@@ -84,8 +83,7 @@ class Outfit:
     def projected_frames(self, poses: Poses, rows: Iterable[int]) -> dict[str, int]:
         """Rows of `poses` unlike the training's, counted by layer: there the networks see a projection."""
         counts: dict[str, int] = {}
-        models = {layer.name: layer.model for layer in self.layers if isinstance(layer.model, LayerModel)}
-        models = {name: model for name, model in models.items() if model.prior is not None}
+        models = {layer.name: layer.model for layer in self.layers if layer.model.projects}
         asked = list(rows) if models else []
         for first in range(0, len(asked), _MOMENTS):  # bones of many rows cost little more than those of one
             some = asked[first : first + _MOMENTS]

@@ -12,13 +12,13 @@ import numpy as np
 import torch
 from scipy import sparse
 
-from stages.shared.avatar.anchors import AnchorOffsets
-from stages.shared.avatar.blendshapes import PoseCoefficients
 from stages.shared.avatar.config import ModelConfig
+from stages.shared.avatar.decoders.blendshapes import PoseCoefficients
+from stages.shared.avatar.decoders.key_poses import KeyPoseOffsets
+from stages.shared.avatar.decoders.pose_prior import PosePrior
+from stages.shared.avatar.decoders.styleunet import StyleUNetDecoder
 from stages.shared.avatar.deform import Attributes, pose_layer, shaped_positions
-from stages.shared.avatar.model import LayerModel
 from stages.shared.avatar.motion import RATES, UP, motion_scale, recent_motion, time_constant
-from stages.shared.avatar.pose_prior import PosePrior
 from stages.shared.body import Poses
 from stages.shared.outfit.push import smooth_field
 from stages.shared.poses.resample import resample
@@ -55,8 +55,8 @@ def _prior() -> PosePrior:
 
 
 @cache
-def _anchors() -> AnchorOffsets:
-    anchors = AnchorOffsets(_ANCHORS, (3, 4), _FEATURES, own_widths=True)
+def _anchors() -> KeyPoseOffsets:
+    anchors = KeyPoseOffsets(_ANCHORS, (3, 4), _FEATURES, own_widths=True)
     anchors.fit(_known_poses().float())
     with torch.no_grad():
         anchors.offsets.copy_(0.02 * torch.randn(anchors.offsets.shape, generator=_generator()))
@@ -144,11 +144,11 @@ def _betas(size: float, random: np.random.Generator) -> Inputs:
 
 
 @cache
-def _model(dtype: torch.dtype) -> LayerModel:
+def _model(dtype: torch.dtype) -> StyleUNetDecoder:
     """A layer without networks; decoded as trained layers are."""
     config = ModelConfig(networks="none")
-    model = LayerModel(sheet(), config).requires_grad_(False)
-    found: LayerModel = _as(model, dtype)
+    model = StyleUNetDecoder(sheet(), config).requires_grad_(False)
+    found: StyleUNetDecoder = _as(model, dtype)
     return found
 
 
@@ -198,7 +198,7 @@ AVATARS = (
         lambda a: _as(_prior(), a["pose"].dtype)(a["pose"]), everyday=(0.0, 1e3), tolerance=1e-5,
     ),
     Function(
-        "AnchorOffsets", "pose models", "distance from a known pose", _SIZES, _strange,
+        "KeyPoseOffsets", "pose models", "distance from a known pose", _SIZES, _strange,
         lambda a: _as(_anchors(), a["pose"].dtype)(a["pose"]), everyday=(0.0, 1.0), tolerance=1e-4,
         gradients=("pose",), gradient_tolerance=1e-3,
     ),

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from stages.shared.avatar import deform
-from stages.shared.avatar.texel_attributes import z_to
+from stages.shared.avatar.decoders.texel_attributes import quaternion_from_z
 from stages.shared.body import kinematics
 from stages.shared.capture.rotation import rotation_of_axis_angle
 from stages.shared.outfit.swap import slerp
@@ -68,7 +68,8 @@ ROTATIONS = (
         everyday=(0.0, 1.0), tolerance=1e-5, gradients=("start", "end"), gradient_tolerance=1e-3,
     ),
     Function(
-        "z_to", "rotations", "angle from −z, rad", (0.0, 1e-8, 1e-4, 1e-2, 1.0, math.pi), _near_minus_z,
-        lambda a: z_to(a["normals"]), everyday=(1e-2, math.pi), tolerance=1e-4,
+        "quaternion_from_z", "rotations", "angle from −z, rad", (0.0, 1e-8, 1e-4, 1e-2, 1.0, math.pi),
+        _near_minus_z,
+        lambda a: quaternion_from_z(a["normals"]), everyday=(1e-2, math.pi), tolerance=1e-4,
     ),
 )  # fmt: skip

@@ -7,16 +7,15 @@ import json
 import pytest
 import torch
 
-from stages.shared.avatar.blendshapes import (
-    GROUPS,
-    BlendshapeModel,
-    BlendshapeSizes,
-    group_channels,
-)
 from stages.shared.avatar.config import ModelConfig
-from stages.shared.avatar.decoder import load_model, new_model
+from stages.shared.avatar.decoders.blendshapes import (
+    BlendshapeDecoder,
+    BlendshapeSizes,
+)
+from stages.shared.avatar.decoders.registry import load_decoder, new_decoder
+from stages.shared.avatar.decoders.styleunet import StyleUNetDecoder
+from stages.shared.avatar.decoders.texel_attributes import BASIS_GROUPS, group_channels
 from stages.shared.avatar.deform import rotation_matrices
-from stages.shared.avatar.model import LayerModel
 from stages.shared.errors import BadData, UsageProblem
 from tests.shared.avatar.tubes import tube
 
@@ -33,9 +32,9 @@ def _pose(angle: float) -> torch.Tensor:
 POSES = [_pose(0.15 * index) for index in range(8)]
 
 
-def _fitted(learned: bool = True) -> BlendshapeModel:
-    model = new_model(tube(), CONFIG, len(POSES))
-    assert isinstance(model, BlendshapeModel)
+def _fitted(learned: bool = True) -> BlendshapeDecoder:
+    model = new_decoder(tube(), CONFIG, len(POSES))
+    assert isinstance(model, BlendshapeDecoder)
     model.fit_input(POSES)
     if learned:
         with torch.no_grad():
@@ -45,7 +44,10 @@ def _fitted(learned: bool = True) -> BlendshapeModel:
 
 
 def test_a_fresh_model_is_the_baked_surface() -> None:
-    model, network = _fitted(learned=False), LayerModel(tube(), ModelConfig(width=0.0625, depth=2, style=8))
+    model, network = (
+        _fitted(learned=False),
+        StyleUNetDecoder(tube(), ModelConfig(width=0.0625, depth=2, style=8)),
+    )
     pose = _pose(0.4)
     for name in ("offsets", "quaternions", "scales", "opacities", "colors"):
         assert torch.equal(getattr(model(pose), name), getattr(network(pose), name)), name
@@ -54,7 +56,7 @@ def test_a_fresh_model_is_the_baked_surface() -> None:
 @pytest.mark.parametrize("history", [0, 2])
 def test_no_array_of_its_state_is_empty(history: int) -> None:
     config = ModelConfig(decoder="blendshapes", ranks=(3, 2, 1), history=history)
-    model = new_model(tube(), config, len(POSES))
+    model = new_decoder(tube(), config, len(POSES))
     assert all(tensor.numel() for tensor in model.state_dict().values()), "a bundle refuses empty tensors"
 
 
@@ -68,7 +70,7 @@ def test_the_residual_is_mean_plus_coefficients_times_bases() -> None:
     coefficients = kernel @ model.coefficients.weights.double()
     expected = model.mean_residual.double().clone()
     first = 0
-    for group in GROUPS:
+    for group in BASIS_GROUPS:
         for k in range(getattr(model.sizes, group)):
             for place, channel in enumerate(group_channels(group)):
                 basis = getattr(model, f"basis_{group}")[:, place, k].double()
@@ -92,18 +94,18 @@ def test_far_from_every_pose_the_mean_remains() -> None:
 def test_gradient_reaches_every_basis() -> None:
     model = _fitted(learned=False)
     model.residual(POSES[2]).square().sum().backward()
-    assert all(getattr(model, f"basis_{group}").grad is not None for group in GROUPS)
+    assert all(getattr(model, f"basis_{group}").grad is not None for group in BASIS_GROUPS)
     model.zero_grad()
     (model.residual(POSES[2]) - 1.0).square().sum().backward()
-    for group in GROUPS:
+    for group in BASIS_GROUPS:
         assert getattr(model, f"basis_{group}").grad.abs().max() > 0, group
 
 
 def test_state_and_configuration_give_the_same_model() -> None:
     model, pose = _fitted(), _pose(0.55)
     config = json.loads(json.dumps(model.config))
-    again = load_model(config, tube(), model.state())
-    assert isinstance(again, BlendshapeModel)
+    again = load_decoder(config, tube(), model.state())
+    assert isinstance(again, BlendshapeDecoder)
     assert torch.equal(again.residual(pose), model.residual(pose))
 
 
@@ -121,24 +123,24 @@ def test_state_and_configuration_give_the_same_model() -> None:
 def test_a_configuration_that_does_not_fit_is_refused(change: dict[str, object]) -> None:
     model = _fitted()
     with pytest.raises(BadData, match=r"model of layer|blendshapes|fit"):
-        load_model({**model.config, **change}, tube(), model.state())
+        load_decoder({**model.config, **change}, tube(), model.state())
 
 
 def test_an_unknown_decoder_is_a_usage_error() -> None:
     with pytest.raises(UsageProblem, match="magic"):
-        new_model(tube(), ModelConfig(decoder="magic"), 3)
+        new_decoder(tube(), ModelConfig(decoder="magic"), 3)
 
 
 def test_one_training_pose_is_enough() -> None:
-    model = BlendshapeModel(tube(), CONFIG, BlendshapeSizes(3, 2, 1, 1))
+    model = BlendshapeDecoder(tube(), CONFIG, BlendshapeSizes(3, 2, 1, 1))
     model.fit_input(POSES[:1])
     assert torch.isfinite(model.residual(POSES[3])).all()
 
 
 def test_with_history_the_same_pose_in_other_motion_has_other_coefficients() -> None:
     config = ModelConfig(decoder="blendshapes", ranks=(3, 2, 1), history=2)
-    model = new_model(tube(), config, len(POSES))
-    assert isinstance(model, BlendshapeModel)
+    model = new_decoder(tube(), config, len(POSES))
+    assert isinstance(model, BlendshapeDecoder)
     length = model.coefficients.motion_scale.shape[0]
     motions = [torch.zeros(length) for _ in POSES]
     for index, motion in enumerate(motions):

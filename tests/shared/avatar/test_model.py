@@ -11,11 +11,11 @@ import torch
 
 from stages.shared.avatar.compose import compose
 from stages.shared.avatar.config import PAPER_MODEL, ModelConfig
+from stages.shared.avatar.decoders.positional_maps import PositionalMaps, network_grid
+from stages.shared.avatar.decoders.styleunet import StyleUNetDecoder
+from stages.shared.avatar.decoders.texel_attributes import quaternion_from_z
 from stages.shared.avatar.deform import pose_layer, rotation_matrices
 from stages.shared.avatar.maps import LayerMaps
-from stages.shared.avatar.model import LayerModel
-from stages.shared.avatar.positional import PositionalMaps, network_grid
-from stages.shared.avatar.texel_attributes import z_to
 from stages.shared.errors import BadData
 from tests.shared.avatar.tubes import CENTRE, GRID, PITCH, tube, tube_arrays
 
@@ -41,7 +41,7 @@ def _pose(angle: float = 0.0) -> torch.Tensor:
     return transforms
 
 
-def _learned(model: LayerModel) -> LayerModel:
+def _learned(model: StyleUNetDecoder) -> StyleUNetDecoder:
     with torch.no_grad():
         for parameter in model.parameters():
             parameter.add_(0.1 * torch.randn(parameter.shape, generator=torch.Generator().manual_seed(1)))
@@ -50,7 +50,7 @@ def _learned(model: LayerModel) -> LayerModel:
 
 def test_fresh_model_is_the_baked_surface() -> None:
     maps = tube()
-    attributes = LayerModel(maps, SMALL)(_pose(0.7))
+    attributes = StyleUNetDecoder(maps, SMALL)(_pose(0.7))
     assert attributes.offsets.abs().max() == 0
     assert torch.allclose(attributes.colors, maps.colors.clamp(0.02, 0.98), atol=1e-5)
     discs = rotation_matrices(attributes.quaternions)[:, :, 2]
@@ -60,7 +60,7 @@ def test_fresh_model_is_the_baked_surface() -> None:
 
 def test_published_constants_without_base_attributes() -> None:
     maps = tube()
-    model = LayerModel(maps, SEPARATE)
+    model = StyleUNetDecoder(maps, SEPARATE)
     attributes = model(_pose(), torch.ones(len(maps)))
     assert not model.base_parameters()
     assert torch.allclose(attributes.opacities, torch.full_like(attributes.opacities, 0.5))
@@ -77,31 +77,31 @@ def test_published_model_is_called_by_its_sizes() -> None:
 @pytest.mark.parametrize("config", [SMALL, SEPARATE, replace(SMALL, anchors=3)])
 def test_state_round_trip_is_exact(config: ModelConfig) -> None:
     maps = tube("upper")
-    model = LayerModel(maps, config, seed=5)
+    model = StyleUNetDecoder(maps, config, seed=5)
     model.fit_input([_pose(angle) for angle in (-0.4, 0.0, 0.4)])
     _learned(model)
     settings = json.loads(json.dumps(model.config))
-    again = LayerModel.from_state(settings, maps, model.state())
+    again = StyleUNetDecoder.from_state(settings, maps, model.state())
     first, second = model(_pose(0.4)), again(_pose(0.4))
     for name in ("offsets", "quaternions", "scales", "opacities", "colors"):
         assert torch.equal(getattr(first, name), getattr(second, name)), name
 
 
 def test_state_of_another_layer_is_refused() -> None:
-    model = LayerModel(tube(), SMALL)
+    model = StyleUNetDecoder(tube(), SMALL)
     other = tube("upper", radius=0.2)
     with pytest.raises(BadData):
-        LayerModel.from_state(model.config, other, model.state())
+        StyleUNetDecoder.from_state(model.config, other, model.state())
     with pytest.raises(BadData):
-        LayerModel.from_state({**model.config, "width": 0.25}, tube(), model.state())
+        StyleUNetDecoder.from_state({**model.config, "width": 0.25}, tube(), model.state())
     with pytest.raises(BadData):
-        LayerModel.from_state({**model.config, "colour": 1}, tube(), model.state())
+        StyleUNetDecoder.from_state({**model.config, "colour": 1}, tube(), model.state())
 
 
 def test_output_follows_the_pose_and_every_parameter_gets_a_gradient() -> None:
     maps = tube()
     for config in (SMALL, SEPARATE):
-        model = _learned(LayerModel(maps, config))
+        model = _learned(StyleUNetDecoder(maps, config))
         still = model(_pose(0.0), torch.full((len(maps),), 0.5))
         bent = model(_pose(0.9), torch.full((len(maps),), 0.5))
         assert (still.offsets - bent.offsets).abs().max() > 1e-5
@@ -117,8 +117,8 @@ def test_output_follows_the_pose_and_every_parameter_gets_a_gradient() -> None:
 
 def test_anchors_move_garments_in_the_poses_they_belong_to() -> None:
     config = replace(SMALL, anchors=2)
-    assert LayerModel(tube(), config).anchors is None, "the body follows its bones"
-    model = LayerModel(tube("upper"), config)
+    assert StyleUNetDecoder(tube(), config).anchors is None, "the body follows its bones"
+    model = StyleUNetDecoder(tube("upper"), config)
     model.fit_input([_pose(-0.5), _pose(0.5)])
     assert model.anchors is not None
     with torch.no_grad():
@@ -130,7 +130,7 @@ def test_anchors_move_garments_in_the_poses_they_belong_to() -> None:
 
 
 def test_unknown_poses_fade_to_the_mean_of_known_ones() -> None:
-    model = LayerModel(tube("upper"), replace(SMALL, anchors=2))
+    model = StyleUNetDecoder(tube("upper"), replace(SMALL, anchors=2))
     poses = [_pose(-0.2), _pose(0.2)]
     model.fit_input(poses)
     _learned(model)
@@ -144,7 +144,7 @@ def test_unknown_poses_fade_to_the_mean_of_known_ones() -> None:
 
 def test_view_angle_changes_colour_only() -> None:
     maps = tube()
-    model = _learned(LayerModel(maps, SEPARATE))
+    model = _learned(StyleUNetDecoder(maps, SEPARATE))
     near, far = model(_pose(), torch.ones(len(maps))), model(_pose(), torch.zeros(len(maps)))
     assert (near.colors - far.colors).abs().max() > 1e-6
     assert torch.equal(near.offsets, far.offsets) and torch.equal(near.scales, far.scales)
@@ -167,7 +167,7 @@ def test_layers_of_one_texel_or_none(chosen: slice) -> None:
     few["neighbours"] = np.full_like(few["neighbours"], -1)
     few |= {"window": arrays["window"], "seams": np.zeros((0, 2), np.int32)}
     maps = LayerMaps.from_arrays("upper", few, PITCH, CENTRE, GRID)
-    model = LayerModel(maps, replace(SMALL, anchors=2))
+    model = StyleUNetDecoder(maps, replace(SMALL, anchors=2))
     model.fit_input([_pose(-0.5), _pose(0.5)])
     posed = pose_layer(maps, model(_pose(0.2)), _pose(0.2), torch.zeros(10))
     assert len(posed.means) == len(maps)
@@ -177,23 +177,23 @@ def test_layers_of_one_texel_or_none(chosen: slice) -> None:
 
 def test_discs_for_any_normal() -> None:
     normals = torch.tensor([[0, 0, 1.0], [0, 0, -1], [1, 0, 0], [0, -1, 0], [0.6, 0, -0.8], [1e-8, 0, -1]])
-    assert torch.allclose(rotation_matrices(z_to(normals))[:, :, 2], normals, atol=1e-6)
+    assert torch.allclose(rotation_matrices(quaternion_from_z(normals))[:, :, 2], normals, atol=1e-6)
 
 
 def test_normalised_input_is_the_departure_from_the_mean_pose() -> None:
     maps = tube()
-    model = LayerModel(maps, SMALL)
+    model = StyleUNetDecoder(maps, SMALL)
     poses = [_pose(angle) for angle in (-0.3, 0.0, 0.3)]
     model.fit_input(poses)
     images = torch.cat([(model.positional(p) - model.input_mean) / model.input_scale for p in poses])
     assert images.mean(dim=0).abs().max() < 1e-5
     used = (model.positional(poses[0]) != 0).any(dim=1)[0]
     assert images[:, :, used].square().mean() == pytest.approx(1.0, rel=1e-3)
-    again = LayerModel.from_state(model.config, maps, model.state())
+    again = StyleUNetDecoder.from_state(model.config, maps, model.state())
     assert torch.equal(again.input_mean, model.input_mean) and torch.equal(
         again.input_scale, model.input_scale
     )
-    raw = LayerModel(maps, SEPARATE)
+    raw = StyleUNetDecoder(maps, SEPARATE)
     raw.fit_input(poses)
     assert raw.input_mean.abs().max() == 0 and raw.input_scale == 1
 
@@ -201,7 +201,7 @@ def test_normalised_input_is_the_departure_from_the_mean_pose() -> None:
 def test_compose_labels_every_gaussian() -> None:
     layers = {"body": tube(), "upper": tube("upper", radius=0.2, low=0.0)}
     posed = {
-        name: pose_layer(maps, LayerModel(maps, SMALL)(_pose()), _pose(), torch.zeros(10))
+        name: pose_layer(maps, StyleUNetDecoder(maps, SMALL)(_pose()), _pose(), torch.zeros(10))
         for name, maps in layers.items()
     }
     composite = compose(posed)

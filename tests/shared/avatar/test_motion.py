@@ -6,8 +6,8 @@ import numpy as np
 import torch
 
 from stages.shared.avatar.config import ModelConfig
+from stages.shared.avatar.decoders.styleunet import StyleUNetDecoder
 from stages.shared.avatar.maps import LayerMaps
-from stages.shared.avatar.model import LayerModel
 from stages.shared.avatar.motion import RATES, UP, motion_length, recent_motion, recent_motions, time_constant
 from stages.shared.avatar.pose import frame_pose
 from stages.shared.body import Poses, embedded_body
@@ -49,7 +49,7 @@ def test_anchors_tell_poses_apart_by_motion() -> None:
     """Two frames in one pose, one after walking: each keeps offsets of its own; a still pose is the first."""
     maps = LayerMaps.from_arrays("upper", tube_arrays(0.15), PITCH, CENTRE, GRID)
     config = ModelConfig(width=0.0625, depth=2, style=8, factor=4, anchors=2, anchor_widths="own", history=1)
-    model = LayerModel(maps, config)
+    model = StyleUNetDecoder(maps, config)
     one = torch.from_numpy(_walk(1, 30).rotations[0])
     pose = frame_pose(embedded_body(), one, torch.zeros(3), torch.zeros(10)).local_transforms
     motions = [recent_motion(_walk(1, 30), 0, 1), recent_motion(_walk(90, 30), 89, 1)]
@@ -58,7 +58,7 @@ def test_anchors_tell_poses_apart_by_motion() -> None:
     model.anchors.offsets.data[1] = 0.02
     offsets = [model(pose, motion=motion).offsets.mean().item() for motion in (*motions, None)]
     assert offsets[1] > 0.015 and offsets[0] < 0.005 and abs(offsets[2] - offsets[0]) < 0.002
-    restored = LayerModel.from_state(model.config, maps, model.state())
+    restored = StyleUNetDecoder.from_state(model.config, maps, model.state())
     assert torch.equal(restored(pose, motion=motions[1]).offsets, model(pose, motion=motions[1]).offsets)
 
 

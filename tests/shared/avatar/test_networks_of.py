@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from stages.shared.avatar.config import PAPER_MODEL, ModelConfig
+from stages.shared.avatar.decoders.styleunet import StyleUNetDecoder
 from stages.shared.avatar.maps import LayerMaps
-from stages.shared.avatar.model import LayerModel
 from stages.shared.avatar.pose import frame_pose
 from stages.shared.body import embedded_body
 from tests.shared.avatar.tubes import CENTRE, GRID, PITCH, tube_arrays
@@ -15,9 +15,9 @@ from tests.shared.avatar.tubes import CENTRE, GRID, PITCH, tube_arrays
 _SMALL = ModelConfig(width=0.0625, depth=2, style=8, factor=4, anchors=2, pose_prior=3)
 
 
-def _model(layer: str, networks: str) -> LayerModel:
+def _model(layer: str, networks: str) -> StyleUNetDecoder:
     maps = LayerMaps.from_arrays(layer, tube_arrays(0.15), PITCH, CENTRE, GRID)
-    return LayerModel(maps, ModelConfig(**{**vars(_SMALL), "networks": networks}))
+    return StyleUNetDecoder(maps, ModelConfig(**{**vars(_SMALL), "networks": networks}))
 
 
 @pytest.mark.parametrize(
@@ -46,5 +46,5 @@ def test_without_networks_the_body_is_its_base_and_a_garment_its_anchors() -> No
     assert found[1] > 0.008 > 0.002 > found[0]
     shirt(poses[1]).offsets.sum().backward()
     assert shirt.anchors.offsets.grad is not None and shirt.anchors.offsets.grad.abs().max() > 0
-    restored = LayerModel.from_state(shirt.config, shirt.maps, shirt.state())
+    restored = StyleUNetDecoder.from_state(shirt.config, shirt.maps, shirt.state())
     assert torch.equal(restored(poses[1]).offsets, shirt(poses[1]).offsets)

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import torch
 
-from stages.shared.avatar.anchors import sampled_maps
 from stages.shared.avatar.config import ModelConfig
+from stages.shared.avatar.decoders.key_poses import sampled_maps
+from stages.shared.avatar.decoders.positional_maps import CosineMaps, PositionalMaps, network_grid
+from stages.shared.avatar.decoders.styleunet import StyleUNetDecoder
 from stages.shared.avatar.deform import estimate_normals
 from stages.shared.avatar.maps import LayerMaps
-from stages.shared.avatar.model import LayerModel
-from stages.shared.avatar.positional import CosineMaps, PositionalMaps, network_grid
 from stages.shared.errors import BadData
 from stages.shared.outfit.coverage import covered_weights
 from tests.shared.avatar.tubes import CENTRE, GRID, PITCH, tube, tube_arrays
@@ -68,7 +68,7 @@ def test_networks_see_only_what_is_met_first(peeled: LayerMaps) -> None:
 def test_residual_is_shared_between_stacked_texels_and_base_attributes_are_not(
     peeled: LayerMaps, anchors: int
 ) -> None:
-    model = LayerModel(peeled, ModelConfig(**{**CONFIG.__dict__, "anchors": anchors}))
+    model = StyleUNetDecoder(peeled, ModelConfig(**{**CONFIG.__dict__, "anchors": anchors}))
     with torch.no_grad():
         for parameter in model.networks.parameters():
             parameter += 0.1 * torch.randn_like(parameter)

@@ -9,9 +9,9 @@ import pytest
 import torch
 
 from stages.shared.avatar.config import ModelConfig
-from stages.shared.avatar.model import LayerModel
+from stages.shared.avatar.decoders.pose_prior import PosePrior
+from stages.shared.avatar.decoders.styleunet import StyleUNetDecoder
 from stages.shared.avatar.pose import frame_pose
-from stages.shared.avatar.pose_prior import PosePrior
 from stages.shared.body import Poses, embedded_body
 from stages.shared.outfit.layer import WornLayer
 from stages.shared.outfit.outfit import Outfit
@@ -65,8 +65,8 @@ def test_a_layer_sees_the_projection_of_an_unusual_pose(anchors: int) -> None:
     config = replace(SMALL, pose_prior=4, pose_sigma=2.0, anchors=anchors)
     maps = replace(tube(), layer="upper")
     poses = [_pose(angle) for angle in np.linspace(-0.2, 0.2, 9)]
-    with_prior = LayerModel(maps, config)
-    without = LayerModel(maps, replace(config, pose_prior=0))
+    with_prior = StyleUNetDecoder(maps, config)
+    without = StyleUNetDecoder(maps, replace(config, pose_prior=0))
     for model in (with_prior, without):
         model.fit_input(poses)
         _learned(model)
@@ -79,7 +79,7 @@ def test_a_layer_sees_the_projection_of_an_unusual_pose(anchors: int) -> None:
     assert torch.equal(with_prior.residual(usual), without.residual(usual))
     changed = (with_prior.residual(unusual) - without.residual(unusual)).abs().max()
     assert changed > 0 if anchors == 0 else changed >= 0
-    again = LayerModel.from_state(with_prior.config, maps, with_prior.state())
+    again = StyleUNetDecoder.from_state(with_prior.config, maps, with_prior.state())
     assert torch.equal(again.residual(unusual), with_prior.residual(unusual)) and again.projected(unusual)
 
 
@@ -92,8 +92,8 @@ def _bent(*angles: float) -> Poses:
 
 def test_an_outfit_counts_projected_frames() -> None:
     body, betas, trained = embedded_body(), np.zeros(10, np.float32), _bent(*np.linspace(-0.2, 0.2, 9))
-    model = LayerModel(tube(), replace(SMALL, pose_prior=4))
-    plain = LayerModel(replace(tube(), layer="upper"), SMALL)
+    model = StyleUNetDecoder(tube(), replace(SMALL, pose_prior=4))
+    plain = StyleUNetDecoder(replace(tube(), layer="upper"), SMALL)
     seen = [
         frame_pose(body, torch.from_numpy(row), torch.zeros(3), torch.zeros(10)).local_transforms
         for row in trained.rotations
@@ -107,4 +107,4 @@ def test_an_outfit_counts_projected_frames() -> None:
 
 
 def test_the_default_shape_has_none() -> None:
-    assert ModelConfig().pose_prior == 0 and LayerModel(tube(), SMALL).prior is None
+    assert ModelConfig().pose_prior == 0 and StyleUNetDecoder(tube(), SMALL).prior is None

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 import torch
 
-from stages.shared.avatar.blendshapes import BlendshapeModel, BlendshapeSizes
 from stages.shared.avatar.config import ModelConfig
+from stages.shared.avatar.decoders.base import Decoder
+from stages.shared.avatar.decoders.blendshapes import BlendshapeDecoder, BlendshapeSizes
+from stages.shared.avatar.decoders.styleunet import StyleUNetDecoder
 from stages.shared.avatar.deform import pose_layer, rotation_matrices
-from stages.shared.avatar.model import LayerModel
 from stages.shared.avatar.pose import FramePose
 from stages.shared.avatar.posing import PosedBuffers, PosedLayer, Replacement
-from stages.shared.avatar.texel_attributes import TexelAttributes
 from stages.shared.outfit.restore import Restoration, restored
 from stages.shared.outfit.swap import Swap, swapped
 from tests.shared.avatar.tubes import tube
@@ -31,17 +31,17 @@ def _transforms() -> torch.Tensor:
     return transforms
 
 
-def _model(kind: str) -> TexelAttributes:
+def _model(kind: str) -> Decoder:
     maps, model = tube(), None
     if kind == "blendshapes":
-        model = BlendshapeModel(maps, ModelConfig(decoder="blendshapes"), BlendshapeSizes(5, 3, 2, 4))
+        model = BlendshapeDecoder(maps, ModelConfig(decoder="blendshapes"), BlendshapeSizes(5, 3, 2, 4))
         model.fit_input([_transforms() * (1 + 0.01 * k) for k in range(4)])
     else:
         color = "linear" if kind == "linear" else "sigmoid"
         config = ModelConfig(
             width=0.0625, depth=2, style=8, color=color, max_scale=0.0 if kind == "linear" else 0.03
         )
-        model = LayerModel(maps, config)
+        model = StyleUNetDecoder(maps, config)
     generator = torch.Generator().manual_seed(1)
     with torch.no_grad():
         for parameter in model.parameters():

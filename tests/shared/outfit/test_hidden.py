@@ -85,10 +85,10 @@ def test_swaps_and_blendshapes_are_left_out_alike() -> None:
     assert swapped.swaps
     chosen = np.zeros(len(swapped.layers[0].maps), bool)
     chosen[5:300] = True
-    from stages.shared.avatar.decoder import new_model
+    from stages.shared.avatar.decoders.registry import new_decoder
 
     body = swapped.layers[0]
-    shaped = new_model(body.maps, BLENDSHAPES, 3)
+    shaped = new_decoder(body.maps, BLENDSHAPES, 3)
     with torch.no_grad():
         for parameter in shaped.parameters():
             parameter.add_(torch.randn(parameter.shape, generator=torch.Generator().manual_seed(1)) * 0.01)

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from stages.shared.avatar.config import ModelConfig
-from stages.shared.avatar.model import LayerModel
+from stages.shared.avatar.decoders.styleunet import StyleUNetDecoder
 from stages.shared.avatar.motion import recent_motion
 from stages.shared.avatar.pose import frame_pose
 from stages.shared.body import Poses
@@ -54,7 +54,7 @@ def test_recent_motion_is_played() -> None:
     dressed = outfit_of_bundles(NAMED[:1])
     piece = worn("upper")
     config = ModelConfig(networks="none", anchors=4, history=2, width=0.0625, depth=2, style=8, factor=4)
-    model = LayerModel(piece.maps, config)
+    model = StyleUNetDecoder(piece.maps, config)
     bones = [frame_pose(dressed.body_model, *_moment(poses, row)).local_transforms for row in (0, 6, 12, 18)]
     model.fit_input(bones, [recent_motion(poses, row, 2) for row in (0, 6, 12, 18)])
     assert model.anchors is not None
@@ -109,8 +109,8 @@ def test_a_layer_stays_where_only_joints_move_that_it_does_not_follow() -> None:
     assert counts == [2, 2, 4]
 
 
-def _without_networks(layer: WornLayer, config: ModelConfig) -> LayerModel:
-    model = LayerModel(layer.maps, config)
+def _without_networks(layer: WornLayer, config: ModelConfig) -> StyleUNetDecoder:
+    model = StyleUNetDecoder(layer.maps, config)
     for name in ("offset", "quaternion", "opacity", "scale", "color"):
         getattr(model, f"base_{name}").data.copy_(getattr(layer.model, f"base_{name}"))
     return model.requires_grad_(False)

@@ -14,8 +14,8 @@ from stages.pipeline import BAKE_MAPS, REGISTER_TEMPLATE, SEGMENT_LAYERS, TRAIN
 from stages.shared.artifacts import Workspace
 from stages.shared.artifacts.bundle import Bundle
 from stages.shared.avatar.config import ModelConfig
+from stages.shared.avatar.decoders.styleunet import StyleUNetDecoder
 from stages.shared.avatar.maps import LayerMaps
-from stages.shared.avatar.model import LayerModel
 from stages.shared.body import BodyModel, Poses, embedded_body
 from stages.shared.capture import Camera, native_writer
 from stages.shared.outfit.layer import WornLayer
@@ -39,7 +39,7 @@ SHIFT = 4  # grey levels by which the truth of the tiny subject differs from its
 def worn(name: str, offset: float = 0.0, source: str = "", **shape: Any) -> WornLayer:
     """A layer whose Gaussians lie `offset` m outside its maps."""
     maps = LayerMaps.from_arrays(name, tube_arrays(**{**SHAPES[name], **shape}), PITCH, CENTRE, GRID)
-    model = LayerModel(maps, MODEL).eval()
+    model = StyleUNetDecoder(maps, MODEL).eval()
     with torch.no_grad():
         model.base_offset += offset * maps.normals
     model.requires_grad_(False)

@@ -9,8 +9,9 @@ import torch
 from stages.distill.config import DistillConfig
 from stages.distill.fit import components, fit_layer
 from stages.distill.samples import Samples, blend_rotations
-from stages.shared.avatar.blendshapes import GROUPS, BlendshapeModel, BlendshapeSizes, group_channels
 from stages.shared.avatar.config import ModelConfig
+from stages.shared.avatar.decoders.blendshapes import BlendshapeDecoder, BlendshapeSizes
+from stages.shared.avatar.decoders.texel_attributes import BASIS_GROUPS, group_channels
 from stages.shared.avatar.deform import rotation_matrices
 from tests.shared.avatar.tubes import tube
 
@@ -24,15 +25,15 @@ def _pose(first: float, second: float) -> torch.Tensor:
     return transforms
 
 
-def _teacher(centres: int = 3) -> BlendshapeModel:
+def _teacher(centres: int = 3) -> BlendshapeDecoder:
     """Itself of blendshapes, so that a perfect pupil exists; smooth in the pose."""
     config = ModelConfig(decoder="blendshapes")
-    model = BlendshapeModel(tube(), config, BlendshapeSizes(2, 2, 1, centres))
+    model = BlendshapeDecoder(tube(), config, BlendshapeSizes(2, 2, 1, centres))
     model.fit_input([_pose(0.4 * k, -0.3 * k) for k in range(centres)])
     generator = torch.Generator().manual_seed(3)
     with torch.no_grad():
         model.coefficients.bandwidth.fill_(2.0)
-        for group in GROUPS:
+        for group in BASIS_GROUPS:
             basis = getattr(model, f"basis_{group}")
             basis.copy_(torch.randn(basis.shape, generator=generator))
     return model
@@ -84,7 +85,7 @@ def test_a_pupil_answers_as_its_teacher() -> None:
     assert torch.allclose(found.offsets, expected.offsets, atol=5e-3 * float(spread))
     assert torch.allclose(found.colors, expected.colors, atol=5e-3)
     assert max(pupil.unseen_error.values()) < 0.05 * float(spread)
-    for group in GROUPS:
+    for group in BASIS_GROUPS:
         assert pupil.components[group].scores.shape[1] <= 3, group
         assert len(group_channels(group)) == pupil.components[group].bases.shape[1]
 

@@ -16,7 +16,7 @@ from stages.export_garment.config import ExportGarmentConfig
 from stages.pipeline import SEGMENT_LAYERS
 from stages.shared.artifacts import Workspace
 from stages.shared.artifacts.bundle import read_bundle
-from stages.shared.avatar.operations import operations
+from stages.shared.avatar.decoders.cost import operations
 from stages.shared.errors import MissingInput, UsageProblem
 from stages.shared.outfit.layer import layer_of_bundle
 from tests.shared.outfit.wardrobe import make_subject, worn

@@ -12,9 +12,9 @@ from stages.pipeline import BAKE_MAPS, REGISTER_TEMPLATE
 from stages.shared.artifacts import Workspace
 from stages.shared.avatar.compose import compose
 from stages.shared.avatar.config import ModelConfig
+from stages.shared.avatar.decoders.styleunet import StyleUNetDecoder
 from stages.shared.avatar.deform import pose_layer
 from stages.shared.avatar.maps import LayerMaps
-from stages.shared.avatar.model import LayerModel
 from stages.shared.avatar.pose import frame_pose
 from stages.shared.body import BodyModel, Poses, embedded_body
 from stages.shared.capture import Camera, native_writer
@@ -85,7 +85,7 @@ def make_subject(
     body, motion = body or embedded_body(), poses()
     arrays = arrays or layers()
     truth = {
-        name: LayerModel(LayerMaps.from_arrays(name, values, pitch, CENTRE, grid), TINY.model)
+        name: StyleUNetDecoder(LayerMaps.from_arrays(name, values, pitch, CENTRE, grid), TINY.model)
         for name, values in arrays.items()
     }
     with torch.no_grad():
@@ -105,7 +105,7 @@ def make_subject(
 
 
 def _picture(
-    truth: dict[str, LayerModel], body: BodyModel, motion: Poses, frame: int, camera: Camera
+    truth: dict[str, StyleUNetDecoder], body: BodyModel, motion: Poses, frame: int, camera: Camera
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     seen = look(truth, body, motion, frame, camera)
     mask = (seen.alpha > 0.5).numpy()
@@ -115,7 +115,7 @@ def _picture(
 
 
 def look(
-    models: dict[str, LayerModel], body: BodyModel, motion: Poses, frame: int, camera: Camera
+    models: dict[str, StyleUNetDecoder], body: BodyModel, motion: Poses, frame: int, camera: Camera
 ) -> Picture:
     """All layers in one frame."""
     one = motion[frame]

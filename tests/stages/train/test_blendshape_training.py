@@ -16,8 +16,8 @@ from stages.export_garment import stage as export
 from stages.export_garment.config import ExportGarmentConfig
 from stages.pipeline import BAKE_MAPS, REGISTER_TEMPLATE
 from stages.shared.artifacts import Workspace
-from stages.shared.avatar.blendshapes import BlendshapeModel
 from stages.shared.avatar.config import ModelConfig
+from stages.shared.avatar.decoders.blendshapes import BlendshapeDecoder
 from stages.shared.errors import UsageProblem
 from stages.shared.outfit.layer import layer_of_training
 from stages.shared.outfit.outfit import outfit_of_bundles, outfit_of_training
@@ -44,7 +44,7 @@ def test_they_learn_and_are_worn(subject: Path, tmp_path: Path) -> None:
     assert result.summary["skipped"] == 0
     baked, registered = (Workspace(subject).require(spec) for spec in (BAKE_MAPS, REGISTER_TEMPLATE))
     model = layer_of_training("upper", baked, result.artifact).model
-    assert isinstance(model, BlendshapeModel)
+    assert isinstance(model, BlendshapeDecoder)
     for group in ("offset", "color", "form"):
         assert getattr(model, f"basis_{group}").abs().max() > 0, group
     motion = poses()

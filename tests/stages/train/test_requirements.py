@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from gw_cli.app import app
-from stages.shared.avatar.components import component_of
+from stages.shared.avatar.decoders.components import component_of
 from stages.train import stage
 from tests.stages.train.scene import make_subject, tiny
 

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 import torch
 
-from stages.shared.avatar.anchors import sampled_maps
+from stages.shared.avatar.decoders.key_poses import sampled_maps
+from stages.shared.avatar.decoders.styleunet import StyleUNetDecoder
 from stages.shared.avatar.maps import LayerMaps
-from stages.shared.avatar.model import LayerModel
 from stages.shared.capture import Camera
 from stages.train import schedule, stage
 from stages.train.cells import Cells
@@ -31,12 +31,12 @@ from tests.stages.train.scene import TINY, make_subject, tiny
 _TRACK = TrackConfig(frame_step=1, cell=8, warm_up=3, rounds=2)
 
 
-def _model() -> LayerModel:
+def _model() -> StyleUNetDecoder:
     maps = LayerMaps.from_arrays("upper", tube_arrays(0.15), PITCH, CENTRE, GRID)
-    return LayerModel(maps, TINY.model)
+    return StyleUNetDecoder(maps, TINY.model)
 
 
-def _cells(model: LayerModel) -> Cells:
+def _cells(model: StyleUNetDecoder) -> Cells:
     assert model.anchors is not None
     height, width = model.anchors.offsets.shape[2:]
     return Cells.of(model.maps, model.sample_points, (height, width))

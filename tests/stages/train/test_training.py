@@ -17,8 +17,8 @@ from stages.pipeline import BAKE_MAPS, TRAIN
 from stages.shared.artifacts import Workspace
 from stages.shared.artifacts.result import StageResult
 from stages.shared.avatar.config import PAPER_MODEL
+from stages.shared.avatar.decoders.styleunet import StyleUNetDecoder
 from stages.shared.avatar.maps import LayerMaps
-from stages.shared.avatar.model import LayerModel
 from stages.shared.body import embedded_body
 from stages.shared.capture import open_capture
 from stages.shared.errors import BadData, MissingInput, UsageProblem
@@ -71,15 +71,15 @@ def test_learning_lowers_the_loss_and_writes_a_whole_artifact(subject: Path) -> 
     fresh, learned = {}, {}
     for name in ("body", "upper"):
         tensors = {key: torch.from_numpy(value) for key, value in result.artifact.arrays(name).items()}
-        learned[name] = LayerModel.from_state(settings[name], LayerMaps.load(baked, name), tensors)
-        fresh[name] = LayerModel(LayerMaps.load(baked, name), tiny().model)
+        learned[name] = StyleUNetDecoder.from_state(settings[name], LayerMaps.load(baked, name), tensors)
+        fresh[name] = StyleUNetDecoder(LayerMaps.load(baked, name), tiny().model)
     assert _held_out_psnr(subject, learned) > _held_out_psnr(subject, fresh) + 5
     assert stage.run(subject, tiny(steps=60)).artifact.path == result.artifact.path, (
         "up to date: not done again"
     )
 
 
-def _held_out_psnr(subject: Path, models: dict[str, LayerModel]) -> float:
+def _held_out_psnr(subject: Path, models: dict[str, StyleUNetDecoder]) -> float:
     """PSNR inside the mask, of the camera that training never sees."""
     take = open_capture(subject.parent / "capture").training_takes[0]
     seen = look(models, embedded_body(), poses(), 2, take.camera("cam2"))

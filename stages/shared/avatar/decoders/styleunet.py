@@ -1,27 +1,30 @@
-"""The learned part of one layer: free attributes per texel, and what depends on the pose.
+"""The decoder "styleunet": convolutional networks, and free offsets of key poses.
 
-Every texel has base attributes (what plain splatting would optimise, `TexelAttributes`); StyleUNets read the
-posed positional map and answer a residual of all 14 attribute channels, zero at the start. A layer without
-networks (`ModelConfig.networks`) keeps its base attributes; garments move by their anchors' offsets, with or
-without networks. With `base=False` the base attributes are the published constants, and only networks learn.
+StyleUNets read the posed positional map and predict a residual of all 14 attribute channels. They start at
+zero. A layer without networks (`ModelConfig.networks`) keeps its base attributes. Garments also have key
+poses (`key_poses.py`), with or without networks. With `base=False` the base attributes are the published
+constants, and only networks learn.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from dataclasses import replace
+from typing import Any, Self
 
 import torch
 from torch import Tensor, nn
 
-from stages.shared.avatar.anchors import AnchorOffsets, sampled_maps
 from stages.shared.avatar.config import ModelConfig
-from stages.shared.avatar.fallback import shrunken_mean
+from stages.shared.avatar.decoders import styleunet_cost
+from stages.shared.avatar.decoders.base import Decoder, DecoderCost, LinearResidual
+from stages.shared.avatar.decoders.key_poses import KeyPoseOffsets, sampled_maps
+from stages.shared.avatar.decoders.mean import shrunken_mean
+from stages.shared.avatar.decoders.pose_prior import PosePrior
+from stages.shared.avatar.decoders.positional_maps import CosineMaps, PositionalMaps, network_grid
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.avatar.motion import motion_length, motion_scale
-from stages.shared.avatar.pose_prior import PosePrior
-from stages.shared.avatar.positional import CosineMaps, PositionalMaps, network_grid
-from stages.shared.avatar.texel_attributes import TexelAttributes
+from stages.shared.errors import UsageProblem
 from stages.shared.nets.styleunet import StyleUNet, ViewNet
 
 _USUAL_DEPARTURE = 0.05  # m, between poses, where the input is not normalised
@@ -30,20 +33,22 @@ _ROTATION_SHARE = 0.3 / (0.2 * math.sqrt(9 * _BODY_JOINTS))  # matrix entries us
 _MOTION_SHARE = 0.5  # usual difference of each memory of recent motion
 _LEAST_MOTION = 0.01  # m/s and rad/s; less is noise
 _LEAST_DEPARTURE = 0.01  # m; less is noise, not motion
+_OF_A_TAKE = ("anchors.", "mean_residual", "fading", "motion_scale", "prior.")  # not taken to another take
 
 
-class LayerModel(TexelAttributes):
+class StyleUNetDecoder(Decoder):
     """Gaussian attributes of one layer for any pose.
 
     Arguments:
         maps: baked maps of the layer. config: shape of the model. seed: of the initial network weights.
     """
 
+    followed = True
     sample_points: Tensor
     input_mean: Tensor  # (1, C, h, w) m
     input_scale: Tensor  # (1,) m
-    mean_residual: Tensor  # (N, 14), with anchors
-    fading: Tensor  # (1,), with anchors
+    mean_residual: Tensor  # (N, 14), with key poses
+    fading: Tensor  # (1,) 1 once unknown poses fade to the mean, with key poses
     motion_scale: Tensor  # (H,), with history
 
     def __init__(self, maps: LayerMaps, config: ModelConfig | None = None, seed: int = 0) -> None:
@@ -73,14 +78,22 @@ class LayerModel(TexelAttributes):
         self.register_buffer("input_scale", torch.ones(1))
         self.anchors = None
         if config.anchors > 0 and maps.layer != "body":
-            size = tuple(math.ceil(s * config.factor / config.anchor_cell) for s in (grid.height, grid.width))
+            size = styleunet_cost.key_pose_map(grid, config)
             described = self.positional.channels * len(self.positional.used) + 9 * _BODY_JOINTS
             described += motion_length(config.history)
             if config.history:
                 self.register_buffer("motion_scale", torch.ones(motion_length(config.history)))
             own = config.anchor_widths == "own"
-            self.anchors = AnchorOffsets(config.anchors, size, described, own)  # type: ignore[arg-type]
-            # What `fit_mean` finds after training; until then nothing fades.
+            points = self.sample_points
+            self.anchors = KeyPoseOffsets(  # under this name in stored states
+                config.anchors,
+                size,
+                described,
+                own,
+                points,
+                config.anchor_cell,
+            )
+            # `fit_mean` sets them after training; until then nothing fades.
             self.register_buffer("mean_residual", maps.positions.new_zeros(len(maps), 14))
             self.register_buffer("fading", torch.zeros(1))
         self.cosines = CosineMaps(maps, grid) if config.view_conditioning else None
@@ -90,18 +103,74 @@ class LayerModel(TexelAttributes):
             self.prior = PosePrior(config.pose_prior, values, config.pose_sigma)
 
     @classmethod
-    def from_state(cls, config: dict[str, Any], maps: LayerMaps, tensors: dict[str, Tensor]) -> LayerModel:
-        """The model that `state` and `config` were taken from.
+    def new(cls, maps: LayerMaps, config: ModelConfig, poses: int, seed: int) -> Self:
+        return cls(maps, config, seed)
 
-        Raises BadData where they do not fit the maps.
-        """
+    @classmethod
+    def from_state(cls, config: dict[str, Any], maps: LayerMaps, tensors: dict[str, Tensor]) -> Self:
         return cls.restored(config, maps, tensors, lambda model_config: cls(maps, model_config))
 
-    def fit_input(self, poses: list[Tensor], motions: list[Tensor] | None = None) -> None:
-        """Look at the training poses, each (55, 4, 4) as in `residual`, before training starts.
+    @classmethod
+    def cost(cls, maps: LayerMaps, config: ModelConfig) -> DecoderCost:
+        return styleunet_cost.cost(maps, config)
 
-        With `normalise`, the mean of the input is taken per pixel and its scale as one number, so that still
-        parts stay small beside moving ones. Anchors are chosen among the poses.
+    @classmethod
+    def multiply_adds(cls, maps: LayerMaps, config: ModelConfig, poses: int, joints: int) -> dict[str, int]:
+        return styleunet_cost.multiply_adds(maps, config, joints)
+
+    @classmethod
+    def omitted(cls, maps: LayerMaps, config: ModelConfig) -> dict[str, str]:
+        if config.networks_of(maps.layer):
+            return {}
+        return {f"networks of {maps.layer}": f"--networks {config.networks}"}
+
+    def warm_start(self, maps: LayerMaps, config: ModelConfig) -> Self:
+        """Networks and base attributes are taken over; key poses and history are those of `config`.
+
+        Raises:
+            UsageProblem: this decoder has key poses, and `config` has none.
+        """
+        if self.anchors is not None and not config.anchors:
+            raise UsageProblem(
+                f"The layer {self.layer} was learned with anchors, and this run has none.",
+                "option --from-subject",
+                "Train both subjects with the same preset and the same --without.",
+            )
+        settings = replace(
+            self.model_config,
+            anchors=config.anchors,
+            anchor_cell=config.anchor_cell,
+            anchor_widths=config.anchor_widths,
+            history=config.history,
+        )
+        started = type(self)(maps, settings)
+        tensors = {name: t for name, t in self.state().items() if not name.startswith(_OF_A_TAKE)}
+        missing, _ = started.load_state_dict(tensors, strict=False)
+        assert all(name.startswith(_OF_A_TAKE) for name in missing)
+        return started
+
+    @property
+    def key_poses(self) -> KeyPoseOffsets | None:
+        return self.anchors
+
+    @property
+    def projects(self) -> bool:
+        return self.prior is not None
+
+    def keep_activations(self, keep: bool) -> None:
+        for network in self.networks:
+            network.recompute = not keep  # type: ignore[assignment]
+
+    def linear_residual(self) -> LinearResidual | None:
+        if self.anchors is not None or len(self.networks):
+            return None
+        return LinearResidual(torch.zeros(len(self.maps), 14))
+
+    def fit_input(self, poses: list[Tensor], motions: list[Tensor] | None = None) -> None:
+        """Normalise the networks' input over the training poses, and choose key poses among them.
+
+        With `normalise`, the mean of the input is taken per pixel and its scale as one number, so that parts
+        that do not move stay small.
         """
         if len(self.positional.used) == 0:
             return
@@ -112,11 +181,12 @@ class LayerModel(TexelAttributes):
             self.input_mean.copy_(mean)
             self.input_scale.copy_(departure.square().mean().sqrt().clamp(min=_LEAST_DEPARTURE))
         if self.anchors is not None:
-            self.fit_anchors(poses, motions)
+            self.fit_key_poses(poses, motions)
 
-    def fit_anchors(self, poses: list[Tensor], motions: list[Tensor] | None = None) -> Tensor:
-        """Choose the anchors among poses as in `fit_input`, leaving what the networks see; (K,) which."""
-        assert self.anchors is not None
+    def fit_key_poses(self, poses: list[Tensor], motions: list[Tensor] | None = None) -> Tensor:
+        """Choose key poses among poses as in `fit_input`; the networks' input stays. Returns which (K,)."""
+        if self.anchors is None:
+            return super().fit_key_poses(poses, motions)
         if self.model_config.history and motions:
             self.motion_scale.copy_(motion_scale(torch.stack(motions), _MOTION_SHARE, _LEAST_MOTION))
         still: list[None] = [None] * len(poses)
@@ -128,12 +198,11 @@ class LayerModel(TexelAttributes):
 
     @torch.no_grad()
     def fit_mean(self, poses: list[Tensor], motions: list[Tensor] | None = None) -> None:
-        """Let poses unlike every anchor fade to a share of the training's mean residual.
+        """Let poses unlike every key pose fade to a share of the training's mean residual.
 
-        What a network answers far from what it was trained with is a guess; the mean is a safer one, and how
-        much of it is found by leaving out parts of the take (`shrunken_mean`). `poses`, (55, 4, 4) each, are
-        in order of time. Call it once, when training is over. From here on, poses outside the training's are
-        projected on its prior.
+        Far from its training poses a network only guesses. The mean is safer; `shrunken_mean` finds how much
+        of it to use by leaving out parts of the take. `poses`, (55, 4, 4) each, are in order of time. Call it
+        once, when training is over. Afterwards poses outside the training's are projected on its prior.
         """
         if not poses:
             return
@@ -158,19 +227,22 @@ class LayerModel(TexelAttributes):
     def residual(
         self, local_transforms: Tensor, cosines: Tensor | None = None, motion: Tensor | None = None
     ) -> Tensor:
-        """Pose-dependent part (N, 14) of the channels above, raw network output.
+        """Pose-dependent part (N, 14), raw network output.
 
         `local_transforms` (55, 4, 4): pose without shape and root. `cosines` (N,): normal · viewing direction
         of every texel, used only with view conditioning (without it the colour network sees no view feature).
         `motion` (M,): `recent_motion`, used only with history; None for a still pose.
         """
-        answer = self.of_networks(local_transforms, cosines)
+        residual = self._network_residual(local_transforms, cosines)
         if self.anchors is None:
-            return answer
-        seen = (self.positional(local_transforms) - self.input_mean) / self.input_scale
-        return self._with_anchors(answer, seen, local_transforms, motion)
+            return residual
+        image = (self.positional(local_transforms) - self.input_mean) / self.input_scale
+        return self._with_key_poses(residual, image, local_transforms, motion)
 
-    def of_networks(self, local_transforms: Tensor, cosines: Tensor | None = None) -> Tensor:
+    def residual_without_key_poses(self, local_transforms: Tensor, motion: Tensor | None = None) -> Tensor:
+        return self._network_residual(local_transforms)
+
+    def _network_residual(self, local_transforms: Tensor, cosines: Tensor | None = None) -> Tensor:
         """What the networks alone add in a pose (N, 14); arguments as in `residual`."""
         if not len(self.networks):
             return self.base_color.new_zeros(len(self.maps), 14)
@@ -201,15 +273,15 @@ class LayerModel(TexelAttributes):
         """Maps (2, C, h, w) of the window at every texel (N, C)."""
         return sampled_maps(images, self.sample_points, self._view_counts)
 
-    def _with_anchors(
+    def _with_key_poses(
         self, residual: Tensor, image: Tensor, local_transforms: Tensor, motion: Tensor | None
     ) -> Tensor:
-        """Add the anchors' offsets for a pose to a residual (N, 14), and fade where no anchor is near."""
+        """Add the offsets of key poses to a residual (N, 14); fade to the mean where no key pose is near."""
         assert self.anchors is not None
         description = self._description(image, local_transforms, motion)
         offsets = self._sampled(self.anchors(description)) / self.model_config.offset_scale
         residual = torch.cat((residual[:, :3] + offsets, residual[:, 3:]), dim=1)
-        share = 1.0 - self.fading * (1.0 - self.anchors.familiarity(description))
+        share = 1.0 - self.fading * (1.0 - self.anchors.confidence(description))
         return torch.lerp(self.mean_residual, residual, share)
 
     def _description(self, image: Tensor, local_transforms: Tensor, motion: Tensor | None) -> Tensor:

@@ -7,12 +7,12 @@ from dataclasses import replace
 import pytest
 import torch
 
-from stages.shared.avatar.blendshapes import BlendshapeModel, BlendshapeSizes
-from stages.shared.avatar.components import bytes_by_component, component_of
 from stages.shared.avatar.config import ModelConfig
+from stages.shared.avatar.decoders.blendshapes import BlendshapeDecoder, BlendshapeSizes
+from stages.shared.avatar.decoders.components import bytes_by_component, component_of
+from stages.shared.avatar.decoders.cost import costs, multiply_adds, operations
+from stages.shared.avatar.decoders.styleunet import StyleUNetDecoder
 from stages.shared.avatar.maps import LayerMaps
-from stages.shared.avatar.model import LayerModel
-from stages.shared.avatar.operations import costs, multiply_adds, operations
 from stages.shared.nets.styleunet import StyleUNet
 from tests.shared.avatar.tubes import CENTRE, GRID, PITCH, tube_arrays
 
@@ -32,7 +32,7 @@ def test_without_networks_and_anchors_there_is_nothing_but_skinning_and_splattin
 
 
 def test_anchors_cost_what_their_arrays_multiply() -> None:
-    model = LayerModel(_maps(), replace(SMALL, networks="none", anchors=5, history=2))
+    model = StyleUNetDecoder(_maps(), replace(SMALL, networks="none", anchors=5, history=2))
     assert model.anchors is not None
     count = operations(model)["anchors"]
     assert count == model.anchors.poses.numel() + model.anchors.offsets.numel() + 12 * len(model.maps)
@@ -42,7 +42,7 @@ def test_anchors_cost_what_their_arrays_multiply() -> None:
 
 def test_blendshapes_cost_what_their_arrays_multiply() -> None:
     config = replace(SMALL, decoder="blendshapes", history=1)
-    model = BlendshapeModel(_maps(), config, BlendshapeSizes(6, 3, 2, 7))
+    model = BlendshapeDecoder(_maps(), config, BlendshapeSizes(6, 3, 2, 7))
     count = operations(model)
     bases = sum(p.numel() for name, p in model.named_parameters() if name.startswith("basis_"))
     kernel = model.coefficients
@@ -53,7 +53,7 @@ def test_blendshapes_cost_what_their_arrays_multiply() -> None:
 
 def test_networks_are_counted_from_their_graph() -> None:
     """Convolutions of one network that were really run, by an independent count of their outputs."""
-    model = LayerModel(_maps(), SMALL)
+    model = StyleUNetDecoder(_maps(), SMALL)
     network: StyleUNet = model.networks[0]  # type: ignore[assignment]
     seen = []
     plain = torch.nn.functional.conv2d
@@ -85,14 +85,14 @@ def test_resting_hands_cost_nothing() -> None:
     moving, still = multiply_adds(maps, SMALL), multiply_adds(maps, SMALL, resting=("left hand",))
     assert moving["skinning"] - still["skinning"] == 3 * 12 * len(maps)
     assert moving["positional map"] > 2 * still["positional map"]
-    assert costs(LayerModel(maps, SMALL), ("left hand",))["joints"] == 1
+    assert costs(StyleUNetDecoder(maps, SMALL), ("left hand",))["joints"] == 1
 
 
 def test_every_stored_tensor_belongs_somewhere() -> None:
     models = (
-        LayerModel(_maps(), replace(SMALL, anchors=2, history=1, pose_prior=2)),
-        LayerModel(_maps(), replace(SMALL, heads="separate", view_conditioning=True)),
-        BlendshapeModel(_maps(), replace(SMALL, decoder="blendshapes"), BlendshapeSizes(2, 1, 1, 3)),
+        StyleUNetDecoder(_maps(), replace(SMALL, anchors=2, history=1, pose_prior=2)),
+        StyleUNetDecoder(_maps(), replace(SMALL, heads="separate", view_conditioning=True)),
+        BlendshapeDecoder(_maps(), replace(SMALL, decoder="blendshapes"), BlendshapeSizes(2, 1, 1, 3)),
     )
     for model in models:
         state = model.state()

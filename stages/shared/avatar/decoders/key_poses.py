@@ -1,10 +1,12 @@
-"""Free offsets of the poses a layer was trained in, blended for poses in between.
+"""Free offsets of key poses, blended for the poses in between.
 
-A network that sees one frame per step needs very long to learn where cloth hung in each of them. Here every
-anchor pose has a coarse map of offsets of its own, and a pose takes the maps of the anchors it resembles, by
-a Gaussian kernel. Poses are compared by the layer's own positional map, and a little by the rotations of all
-joints: a skirt hangs otherwise when the arms swing, though the legs stand alike. Far from every anchor the
-offsets fade, and the base attributes remain.
+A network that sees one frame per step learns slowly where cloth hung in each of them. Here every key pose
+has a coarse map of offsets of its own. Any other pose takes the maps of the key poses that it resembles, by a
+Gaussian kernel. Poses are compared by the layer's own positional map, and with less weight by the rotations
+of all joints, because a skirt also depends on the arms. Far from every key pose the offsets fade, and the
+base attributes remain.
+
+Stored states and configurations call key poses "anchors".
 """
 
 from __future__ import annotations
@@ -15,33 +17,46 @@ from torch.nn import functional
 
 from stages.shared.finite import require_finite
 
-_BANDWIDTH = 0.5  # kernel width in units of the usual distance between neighbouring anchors
+_BANDWIDTH = 0.5  # kernel width in units of the usual distance between neighbouring key poses
 _NARROWEST = 0.1  # in units of the usual distance
 _LEAST = 1e-3
-_FLOOR = 0.05  # weight of "no anchor": what makes offsets fade far from all
+_FLOOR = 0.05  # weight of "no key pose": it makes offsets fade far from all of them
 
 
-class AnchorOffsets(nn.Module):
-    """Offset maps of K anchor poses.
+class KeyPoseOffsets(nn.Module):
+    """Offset maps of K key poses.
 
     Arguments:
         count: K. size: (height, width) of the coarse maps. features: length of a pose's description.
-        own_widths: a kernel width for every anchor, by the distance to its nearest neighbour.
+        own_widths: a kernel width for every key pose, by the distance to its nearest neighbour.
+        points: (N, 2) where the layer's texels lie on the maps, x, y in −1..1 from edge to edge.
+        cell: texels per cell of the maps.
     """
 
-    poses: Tensor  # (K, M) descriptions of the anchor poses
+    poses: Tensor  # (K, M) descriptions of the key poses
+    points: Tensor  # (N, 2)
     bandwidth: Tensor  # (1,), or (K,) with own widths
 
-    def __init__(self, count: int, size: tuple[int, int], features: int, own_widths: bool = False) -> None:
+    def __init__(
+        self,
+        count: int,
+        size: tuple[int, int],
+        features: int,
+        own_widths: bool = False,
+        points: Tensor | None = None,
+        cell: int = 1,
+    ) -> None:
         super().__init__()
+        self.cell = cell
         self.offsets = nn.Parameter(torch.zeros(count, 6, *size))  # m; front x y z, back x y z
         self.register_buffer("poses", torch.zeros(count, features))
         self.register_buffer("bandwidth", torch.ones(count if own_widths else 1))
+        self.register_buffer("points", torch.zeros(0, 2) if points is None else points, persistent=False)
 
     def fit(self, poses: Tensor) -> Tensor:
-        """Choose anchors among training poses (T, M), T ≥ K: the first, then always the farthest from all.
+        """Choose key poses among training poses (T, M), T ≥ K: the first, then always the farthest from all.
 
-        With T = K every pose is an anchor, in order, also where two are alike. Returns which (K,).
+        With T = K every pose is a key pose, in order, also where two are alike. Returns which (K,).
         """
         # The exact form: the quick one loses near poses in rounding and would take one of them twice.
         distance = torch.cdist(poses, poses, compute_mode="donot_use_mm_for_euclid_dist")
@@ -56,19 +71,19 @@ class AnchorOffsets(nn.Module):
         return chosen
 
     def weights(self, pose: Tensor) -> Tensor:
-        """Share (K,) of every anchor in a pose (M,); they sum to less than 1 far from all anchors."""
+        """Share (K,) of every key pose in a pose (M,); they sum to less than 1 far from all of them."""
         kernel = self._kernel(pose)
         return kernel / (kernel.sum() + _FLOOR)
 
-    def familiarity(self, pose: Tensor) -> Tensor:
-        """How much a pose (M,) is like the anchors: () 1 at an anchor or between two, 0 far from all."""
+    def confidence(self, pose: Tensor) -> Tensor:
+        """Confidence () of the kernel in a pose (M,): 1 at a key pose or between two, 0 far from all."""
         return self._kernel(pose).sum().clamp(max=1.0)
 
     def _kernel(self, pose: Tensor) -> Tensor:
-        require_finite("AnchorOffsets", pose=pose)
+        require_finite("KeyPoseOffsets", pose=pose)
         squared = (self.poses - pose).square().sum(dim=1) / (2 * self.bandwidth.square())
         kernel = torch.exp(-squared) - _LEAST
-        kernel = kernel.clamp(min=0.0)  # exactly none, so that Adam does not enlarge traces of other poses
+        kernel = kernel.clamp(min=0.0)  # exactly 0: Adam would enlarge traces of other poses
         return kernel / (1.0 - _LEAST)
 
     def forward(self, pose: Tensor) -> Tensor:

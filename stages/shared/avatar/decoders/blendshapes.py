@@ -1,44 +1,40 @@
-"""The real-time decoder: per-texel bases times a few numbers that follow from the pose.
+"""The decoder "blendshapes": per-texel bases times a few coefficients that depend on the pose. Real time.
 
-residual = mean + Σ_k c_k(pose) B_k, as pose correctives of body models are (SMPL, eq. 9), with bases of their
-own for offsets, colours, and the form (quaternion, opacity, scale). The coefficients c come from a Gaussian
-kernel between the pose and poses that were seen, so far from all of them the mean remains. What a frame costs
-is one small matrix product per layer instead of a convolutional network.
+residual = mean + Σ_k c_k(pose) B_k, the form of the pose correctives of body models (SMPL, eq. 9). Offsets,
+colours and form (quaternion, opacity, scale) have bases of their own. The coefficients c come from a Gaussian
+kernel between the pose and the training poses, so the mean remains far from all of them. A frame costs one
+small matrix product per layer instead of a convolutional network.
 
-A model is trained like any other (`fit_input` lays out the coefficients; the bases start at zero and are
+The decoder is trained directly (`fit_input` lays out the coefficients; the bases start at zero and are
 learned) or distilled from a trained network (`stages/distill`).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import Any
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any, Self
 
 import torch
 from torch import Tensor, nn
 
-from stages.shared.avatar.anchors import spread_out
 from stages.shared.avatar.config import ModelConfig
+from stages.shared.avatar.decoders.base import Decoder, DecoderCost, LinearResidual
+from stages.shared.avatar.decoders.key_poses import spread_out
+from stages.shared.avatar.decoders.texel_attributes import BASIS_GROUPS, group_channels
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.avatar.motion import motion_length, motion_scale
-from stages.shared.avatar.texel_attributes import CHANNELS, TexelAttributes
 from stages.shared.errors import BadData
 from stages.shared.finite import require_finite
 
 BODY_JOINTS = 22  # without face and fingers
-GROUPS: dict[str, tuple[str, ...]] = {
-    "offset": ("offset",),
-    "color": ("color",),
-    "form": ("quaternion", "opacity", "scale"),
-}
 _MOST_CENTRES, _MOST_RANK = 4096, 256
 _LEAST_SPREAD = 1e-6
 _LEAST_MOTION = 0.05  # m/s, rad/s; less is noise, not motion
-
-
-def group_channels(group: str) -> list[int]:
-    """The residual's channels that a group of bases moves."""
-    return [channel for name in GROUPS[group] for channel in range(*CHANNELS[name])]
+# Computed, not measured: seven passes over memory (forward, backward, Adam) at 4 GB/s.
+_SECONDS_PER_NUMBER = 8e-9
+_BASE_CHANNELS = 14
 
 
 @dataclass(frozen=True)
@@ -92,7 +88,7 @@ def gaussian_kernel(one: Tensor, other: Tensor, bandwidth: Tensor) -> Tensor:
     return torch.exp(-0.5 * (distance / bandwidth).square())
 
 
-class BlendshapeModel(TexelAttributes):
+class BlendshapeDecoder(Decoder):
     """Gaussian attributes of one layer for any pose, by blendshapes.
 
     Arguments:
@@ -108,30 +104,64 @@ class BlendshapeModel(TexelAttributes):
         count = sizes.offset + sizes.color + sizes.form
         self.coefficients = PoseCoefficients(sizes.centres, count, config.history)
         self.register_buffer("mean_residual", maps.positions.new_zeros(len(maps), 14))
-        for group in GROUPS:
+        for group in BASIS_GROUPS:
             # Texels first: the product with the coefficients then reads memory once, in order.
             shape = (len(maps), len(group_channels(group)), getattr(sizes, group))
             self.register_parameter(f"basis_{group}", nn.Parameter(torch.zeros(shape)))
-        order = torch.tensor([channel for group in GROUPS for channel in group_channels(group)])
+        order = torch.tensor([channel for group in BASIS_GROUPS for channel in group_channels(group)])
         self.register_buffer("channel_order", order.argsort(), persistent=False)
 
     @property
     def config(self) -> dict[str, Any]:
-        """All that is needed beside maps and tensors to make the model again; plain JSON."""
         sizes = {name: getattr(self.sizes, name) for name in ("offset", "color", "form", "centres")}
         return {**super().config, "blendshapes": sizes}
 
     @classmethod
-    def from_state(
-        cls, config: dict[str, Any], maps: LayerMaps, tensors: dict[str, Tensor]
-    ) -> BlendshapeModel:
-        """The model that `state` and `config` were taken from.
+    def resolved(cls, config: ModelConfig) -> ModelConfig:
+        """Without networks, key poses and pose prior. Base attributes are what the bases add to."""
+        return replace(config, networks="none", anchors=0, pose_prior=0, view_conditioning=False, base=True)
 
-        Raises BadData where they do not fit the maps, or sizes are out of bounds.
-        """
+    @classmethod
+    def new(cls, maps: LayerMaps, config: ModelConfig, poses: int, seed: int) -> Self:
+        return cls(maps, config, BlendshapeSizes(*config.ranks, poses))
+
+    @classmethod
+    def from_state(cls, config: dict[str, Any], maps: LayerMaps, tensors: dict[str, Tensor]) -> Self:
         sizes = _checked_sizes(config.get("blendshapes"), maps.layer)
-        shape = {name: value for name, value in config.items() if name != "blendshapes"}
-        return cls.restored(shape, maps, tensors, lambda model_config: cls(maps, model_config, sizes))
+        settings = {name: value for name, value in config.items() if name != "blendshapes"}
+        return cls.restored(settings, maps, tensors, lambda model_config: cls(maps, model_config, sizes))
+
+    @classmethod
+    def cost(cls, maps: LayerMaps, config: ModelConfig) -> DecoderCost:
+        numbers = len(maps) * _numbers_per_texel(*config.ranks)
+        base = _BASE_CHANNELS * len(maps) if config.base else 0
+        return DecoderCost(base + numbers, numbers * _SECONDS_PER_NUMBER)
+
+    @classmethod
+    def multiply_adds(cls, maps: LayerMaps, config: ModelConfig, poses: int, joints: int) -> dict[str, int]:
+        return _multiply_adds(len(maps), config, BlendshapeSizes(*config.ranks, poses))
+
+    def multiply_adds_as_is(self, joints: int) -> dict[str, int]:
+        return _multiply_adds(len(self.maps), self.model_config, self.sizes)
+
+    def own_step_sizes(self, step_sizes: Mapping[str, float]) -> dict[str, float]:
+        """K bases of unit coefficients together move as fast as the attribute alone, in residual units.
+
+        A group of several attributes takes the smallest step of them.
+        """
+        per_unit = {
+            "offset": step_sizes["offset"] / self.model_config.offset_scale,
+            "color": step_sizes["color"],
+            "form": min(step_sizes[name] for name in BASIS_GROUPS["form"]),
+        }
+        return {
+            f"basis_{group}": per_unit[group] / math.sqrt(max(getattr(self.sizes, group), 1))
+            for group in BASIS_GROUPS
+        }
+
+    def linear_residual(self) -> LinearResidual:
+        bases = {group: getattr(self, f"basis_{group}") for group in BASIS_GROUPS}
+        return LinearResidual(self.mean_residual, bases, self.coefficients)
 
     def fit_input(self, poses: list[Tensor], motions: list[Tensor] | None = None) -> None:
         """Lay out the coefficients over training poses, each (55, 4, 4), before the bases are learned.
@@ -150,7 +180,7 @@ class BlendshapeModel(TexelAttributes):
         self.coefficients.centres[: len(centres)] = centres
         self.coefficients.bandwidth.copy_(bandwidth)
         first = 0
-        for group in GROUPS:
+        for group in BASIS_GROUPS:
             count = min(getattr(self.sizes, group), unit.shape[1])
             self.coefficients.weights[: len(centres), first : first + count] = unit[:, :count]
             first += getattr(self.sizes, group)
@@ -166,16 +196,15 @@ class BlendshapeModel(TexelAttributes):
         pairs = zip(poses, motions or still, strict=True)
         return torch.stack([self.coefficients.describe(pose, motion) for pose, motion in pairs])
 
-    def fit_mean(self, poses: list[Tensor], motions: list[Tensor] | None = None) -> None:
-        """Nothing is left to do after training: the kernel itself fades."""
-
     def residual(
         self, local_transforms: Tensor, cosines: Tensor | None = None, motion: Tensor | None = None
     ) -> Tensor:
-        """Pose-dependent part (N, 14); see `TexelAttributes.residual`."""
+        """Pose-dependent part (N, 14); see `Decoder.residual`."""
         values = self.coefficients(local_transforms, motion)
-        values = values.split([getattr(self.sizes, group) for group in GROUPS])
-        parts = [getattr(self, f"basis_{group}") @ part for group, part in zip(GROUPS, values, strict=True)]
+        values = values.split([getattr(self.sizes, group) for group in BASIS_GROUPS])
+        parts = [
+            getattr(self, f"basis_{group}") @ part for group, part in zip(BASIS_GROUPS, values, strict=True)
+        ]
         return self.mean_residual + torch.cat(parts, dim=1)[:, self.channel_order]
 
 
@@ -188,11 +217,27 @@ def neighbour_distance(described: Tensor) -> Tensor:
     return finite.median()[None] if len(finite) else described.new_ones(1)
 
 
+def _numbers_per_texel(offset: int, color: int, form: int) -> int:
+    """Learned numbers of a texel's bases."""
+    ranks = {"offset": offset, "color": color, "form": form}
+    return sum(len(group_channels(group)) * rank for group, rank in ranks.items())
+
+
+def _multiply_adds(texels: int, config: ModelConfig, sizes: BlendshapeSizes) -> dict[str, int]:
+    """Multiply-adds of one pose by component."""
+    description = 9 * BODY_JOINTS + motion_length(config.history)
+    count = sizes.offset + sizes.color + sizes.form
+    return {
+        "blendshapes": texels * _numbers_per_texel(sizes.offset, sizes.color, sizes.form),
+        "pose coefficients": sizes.centres * (description + count),
+    }
+
+
 def _checked_sizes(sizes: Any, layer: str) -> BlendshapeSizes:
     names = [field.name for field in fields(BlendshapeSizes)]
-    given = sizes if isinstance(sizes, dict) else {}
+    values = sizes if isinstance(sizes, dict) else {}
     for name in names:
-        value = given.get(name)
+        value = values.get(name)
         most = _MOST_CENTRES if name == "centres" else _MOST_RANK
         if type(value) is not int or not 0 <= value <= most:
             raise BadData(
@@ -200,4 +245,4 @@ def _checked_sizes(sizes: Any, layer: str) -> BlendshapeSizes:
                 f"model of layer {layer}",
                 "Export or train it again.",
             )
-    return BlendshapeSizes(**{name: given[name] for name in names})
+    return BlendshapeSizes(**{name: values[name] for name in names})

@@ -1,7 +1,7 @@
 """What the shell offers at the Tab key: presets, subjects, layers, bundles, artifacts.
 
-Called by every press of the key, so nothing here imports more than the standard library, and nothing here may
-fail: what cannot be read is not offered.
+Called by every press of the key, so nothing here loads a library, and nothing here may fail: what cannot be
+read is not offered.
 """
 
 from __future__ import annotations
@@ -11,8 +11,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from stages.shared.layers import LAYERS, in_order
+
 PRESETS = ("tiny", "draft", "balanced", "paper")
-LAYERS = ("body", "lower", "upper", "outer")
 _MOST_FOLDERS = 200
 
 
@@ -66,7 +67,7 @@ def _layers_of(subject: Path) -> list[str]:
         there = manifest["summary"]["layers"]
     except (OSError, ValueError, KeyError, TypeError):
         return []
-    return [name for name in LAYERS if name in there]
+    return in_order(there)
 
 
 def _folders(incomplete: str) -> list[Path]:

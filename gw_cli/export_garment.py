@@ -11,6 +11,7 @@ import typer
 from gw_cli.completion import layers
 from gw_cli.console import Console, command
 from gw_cli.options import Distilled, DryRun, Json, Preset, Subject, names, preset_config
+from stages.shared.layers import BODY
 
 
 def register(app: typer.Typer) -> None:
@@ -99,8 +100,8 @@ def register(app: typer.Typer) -> None:
             console.plan(stage.plan(subject, target, config))
             return
         result = stage.run(subject, target, config, console)
-        body = "body.gwg" if layer != "body" else str(result.path)
-        worn = str(result.path) if layer != "body" else "skirt.gwg"
+        body = "body.gwg" if layer != BODY else str(result.path)
+        worn = str(result.path) if layer != BODY else "skirt.gwg"
         console.result(
             {"path": result.path, **result.summary},
             next_command=f"gw tryon {body} {worn} --poses motion.npz -o tryon",

@@ -36,6 +36,7 @@ from stages.shared.capture.native_writer import native_writer
 from stages.shared.capture.outlines import filmed_frames, outline_agreement
 from stages.shared.capture.subject import open_subject_capture
 from stages.shared.commands import run_command
+from stages.shared.layers import BODY
 from stages.shared.meshes.ply import encode_ply
 from stages.shared.poses.read import load_poses
 from stages.shared.report import SILENT, Report
@@ -185,7 +186,7 @@ def _images_row(
 def _residual_rows(workspace: Workspace) -> list[Row]:
     summary = workspace.require(CANONICALIZE).summary
     segmented = workspace.require(SEGMENT_LAYERS)
-    garments = [name for name in segmented.summary["layers"] if name != "body"]
+    garments = [name for name in segmented.summary["layers"] if name != BODY]
     trips = [shape_round_trip(segmented, name, _OTHER_SHAPE) for name in garments]
     return [
         Row(2, "pose_back_max_m", summary["residual_max_m"]),
@@ -229,7 +230,7 @@ def _skinned_rows(
     report.step("moving the layers by their bones")
     segmented = workspace.require(SEGMENT_LAYERS)
     layers = {name: SkinnedLayer.load(segmented, name) for name in segmented.summary["layers"]}
-    garments = {name: layer for name, layer in layers.items() if name != "body"}
+    garments = {name: layer for name, layer in layers.items() if name != BODY}
     frames: dict[str, float] = {}
     stretches: dict[str, float] = {}
     for take in capture.test_takes:

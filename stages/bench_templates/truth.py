@@ -9,7 +9,7 @@ from stages.shared.artifacts import Artifact
 from stages.shared.body.kinematics import posed_joints, shaped_vertices
 from stages.shared.body.model import BodyModel
 from stages.shared.body.poses import Poses
-from stages.shared.capture import LABELS, LAYER_OF_LABEL, NO_LABEL
+from stages.shared.layers import LAYER_OF_LABEL, NO_LABEL
 from stages.shared.metrics.silhouette import iou
 
 _BODY_JOINTS = 22  # without face and fingers
@@ -41,7 +41,7 @@ def label_scores(found: np.ndarray, truth: np.ndarray) -> dict[str, float | None
     names = {name for label, name in LAYER_OF_LABEL.items() if (truth == label).any()}
     overlaps = []
     for name in sorted(names):
-        labels = [label for label in LABELS if LAYER_OF_LABEL.get(label) == name]
+        labels = [label for label, layer in LAYER_OF_LABEL.items() if layer == name]
         overlaps.append(iou(np.isin(found, labels), np.isin(truth, labels)))
     present = [overlap for overlap in overlaps if overlap is not None]
     return {"accuracy": float((found == truth).mean()), "miou": float(np.mean(present))}

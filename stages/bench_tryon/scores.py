@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.shared.capture.take import MASK_THRESHOLD
+from stages.shared.layers import BODY_LABELS, GARMENT_LABELS, SKIN
 from stages.shared.metrics.psnr import psnr
 from stages.shared.metrics.scores import Scores, ViewPair
-from stages.shared.metrics.segmentation import GARMENT_LABELS, segmentation_scores
+from stages.shared.metrics.segmentation import segmentation_scores
 from stages.shared.metrics.silhouette import iou
 from stages.shared.metrics.ssim import ssim_in_box
 
@@ -47,8 +48,8 @@ def tryon_scores(view: ViewPair, region: int) -> Scores:
         scores["region_ssim"] = ssim_in_box(_only(view.prediction, shown), _only(view.truth, true), true)
     garments = np.isin(view.truth_labels, GARMENT_LABELS)
     if garments.sum() >= _SMALLEST_REGION:
-        scores["skin_through"] = 1000 * float((view.prediction_labels[garments] <= 2).mean())
-    skin = inside & (view.truth_labels == 0)
+        scores["skin_through"] = 1000 * float(np.isin(view.prediction_labels[garments], BODY_LABELS).mean())
+    skin = inside & (view.truth_labels == SKIN)
     if skin.sum() >= _SMALLEST_REGION:
         scores["skin_psnr"] = psnr(view.prediction, view.truth, skin)
     scores["miou"] = segmentation_scores(view.prediction_labels, view.truth_labels)["miou"]

@@ -30,6 +30,7 @@ from stages.shared.capture import Take, open_capture
 from stages.shared.capture.camera import Camera
 from stages.shared.capture.take import MASK_THRESHOLD
 from stages.shared.errors import MissingInput, UsageProblem
+from stages.shared.layers import BODY_LABELS, GARMENT_LABELS
 from stages.shared.metrics.scores import Scores, ViewPair
 from stages.shared.outfit.layer import label_of
 from stages.shared.outfit.outfit import outfit_of_bundles
@@ -194,7 +195,8 @@ def _comparison(views: dict[str, ViewPair]) -> NDArray[np.uint8]:
     for name, view in views.items():
         picture = view.prediction.copy()
         assert view.truth_labels is not None and view.prediction_labels is not None
-        picture[np.isin(view.truth_labels, (3, 4, 5)) & (view.prediction_labels <= 2)] = (255, 0, 0)
+        body_shows = np.isin(view.prediction_labels, BODY_LABELS)
+        picture[np.isin(view.truth_labels, GARMENT_LABELS) & body_shows] = (255, 0, 0)
         pictures.append(picture)
         captions.append(name)
     rows, columns = np.nonzero(truth.mask > MASK_THRESHOLD)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from stages.shared.artifacts import Artifact
 from stages.shared.body import BodyModel, Poses, posed_from_canonical, skin
 from stages.shared.capture.camera import Box, Camera
-from stages.shared.capture.labels import NO_LABEL
+from stages.shared.layers import NO_LABEL
 from stages.shared.meshes.raycast import RayScene
 
 

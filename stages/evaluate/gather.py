@@ -15,6 +15,7 @@ from stages.evaluate.parts import Piece, Row, replace_picture
 from stages.shared.artifacts.pictures import encode_png
 from stages.shared.capture.labels import label_picture
 from stages.shared.capture.take import MASK_THRESHOLD, box_around
+from stages.shared.layers import BODY_LABELS, SKIN
 from stages.shared.losses.perceptual import Perceptual
 from stages.shared.metrics.scores import Scores, ViewPair, mean_scores, view_scores
 from stages.shared.pictures.sheet import chosen, contact_sheet, shrunk
@@ -92,7 +93,7 @@ def comparison(
 
 def _merged(labels: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Label ids with hair and shoes counted as skin: the body is one layer."""
-    return np.where(labels <= 2, np.uint8(0), labels)
+    return np.where(np.isin(labels, BODY_LABELS), np.uint8(SKIN), labels)
 
 
 def around(mask: NDArray[np.uint8]) -> tuple[slice, slice]:

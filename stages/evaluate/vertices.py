@@ -20,9 +20,9 @@ from stages.shared.avatar.deform import PosedGaussians, blended, moved, shaped_p
 from stages.shared.avatar.pose import frame_pose
 from stages.shared.body import Poses
 from stages.shared.capture import Take
-from stages.shared.capture.labels import LAYERS
 from stages.shared.capture.true_meshes import TrueMesh, TrueMeshes
 from stages.shared.errors import MissingInput
+from stages.shared.layers import LAYERS, SLOTS
 from stages.shared.metrics.vertex_error import (
     STATISTICS,
     Binding,
@@ -145,13 +145,13 @@ def _garments(outfit: Outfit) -> dict[str, _Garment]:
     found = {}
     for layer in outfit.layers:
         if layer.layer_ids is None:
-            if layer.name in LAYERS[1:]:
+            if layer.name in SLOTS:
                 found[layer.name] = _Garment(layer.name, np.arange(len(layer.maps)))
             continue
-        for index in range(1, len(LAYERS)):
-            texels = np.flatnonzero(layer.layer_ids.numpy() == index)
+        for slot in SLOTS:
+            texels = np.flatnonzero(layer.layer_ids.numpy() == LAYERS.index(slot))
             if len(texels):
-                found[LAYERS[index]] = _Garment(layer.name, texels)
+                found[slot] = _Garment(layer.name, texels)
     return found
 
 

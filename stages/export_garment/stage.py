@@ -27,8 +27,8 @@ from stages.shared.artifacts.bundle_precision import PRECISIONS, halved
 from stages.shared.avatar.decoders.cost import costs
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.body import BodyModel, Poses
-from stages.shared.capture.labels import LAYERS
 from stages.shared.errors import MissingInput, UsageProblem
+from stages.shared.layers import BODY, LAYERS, SLOTS, garments_of, in_order
 from stages.shared.outfit.layer import WornLayer, layer_of_training
 from stages.shared.outfit.rebind import canonical_joints
 from stages.shared.plan import Plan
@@ -121,7 +121,7 @@ def plan(subject: Path, output: Path, config: ExportGarmentConfig = ExportGarmen
         config=asdict(config),
         seconds=3.0,
         memory_bytes=400_000_000 + 2000 * texels,
-        disk_bytes=500 * texels + (9_000_000 if config.layer == "body" else 1_000_000),
+        disk_bytes=500 * texels + (9_000_000 if config.layer == BODY else 1_000_000),
     )
 
 
@@ -164,19 +164,19 @@ def checked_slots(config: ExportGarmentConfig) -> tuple[str, ...]:
             "option --layer",
             "Choose " + ", ".join(LAYERS) + ".",
         )
-    if config.layer == "body":
+    if config.layer == BODY:
         if config.slots:
             raise UsageProblem("A body takes no slots.", "option --slots", "Leave --slots out.")
         return ()
     slots = config.slots or (config.layer,)
-    unknown = [slot for slot in slots if slot not in LAYERS[1:]]
+    unknown = [slot for slot in slots if slot not in SLOTS]
     if unknown or config.layer not in slots:
         raise UsageProblem(
             f"A garment of the layer {config.layer} cannot take the slots {', '.join(slots)}.",
             "option --slots",
-            f"Name {config.layer} and whatever else it covers of {', '.join(LAYERS[1:])}.",
+            f"Name {config.layer} and whatever else it covers of {', '.join(SLOTS)}.",
         )
-    return tuple(slot for slot in LAYERS[1:] if slot in slots)
+    return tuple(slot for slot in SLOTS if slot in slots)
 
 
 def _about_body(
@@ -190,13 +190,13 @@ def _about_body(
     """Shape and joints of the person; of a garment the body beneath it; of a body its model and its skin."""
     rest = canonical_joints(body_model)
     arrays = {"betas": poses.betas, "joints": rest}
-    if config.layer == "body":
+    if config.layer == BODY:
         arrays |= {f"body/{k}": v for k, v in body_model.to_arrays().items() if k in _BODY_ARRAYS}
-        garments = [layer_of_training(name, source.baked, source.trained) for name in names if name != "body"]
+        garments = [layer_of_training(name, source.baked, source.trained) for name in garments_of(names)]
         mean = mean_attributes(layer, body_model, poses, config.beneath_frames)
         return arrays | covered_skin(layer, garments, mean)
-    if config.beneath and "body" in names:
-        body = layer_of_training("body", source.baked, source.trained)
+    if config.beneath and BODY in names:
+        body = layer_of_training(BODY, source.baked, source.trained)
         arrays |= form_beneath(layer, body, mean_attributes(body, body_model, poses, config.beneath_frames))
     return arrays
 
@@ -210,7 +210,7 @@ def _open(subject: Path, distilled: bool) -> _Source:
 
 def _layers(source: _Source) -> list[str]:
     trained = source.trained.json("model.json")["layers"]
-    return [name for name in LAYERS if name in trained]
+    return in_order(trained)
 
 
 def _manifest(
@@ -218,7 +218,7 @@ def _manifest(
 ) -> dict[str, Any]:
     maps: LayerMaps = layer.maps
     return {
-        "kind": "body" if config.layer == "body" else "garment",
+        "kind": "body" if config.layer == BODY else "garment",
         "layer": config.layer,
         "slots": list(config.slots),
         "body_model": {"digest": body_digest, "convention": "SMPL-X", "joints": 55, "betas": 10},

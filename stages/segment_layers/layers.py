@@ -16,14 +16,18 @@ from stages.shared.body.model import BodyModel
 from stages.shared.body.posed import posed_body
 from stages.shared.body.poses import Poses
 from stages.shared.body.skeleton import JOINT_INDEX
-from stages.shared.capture import LABELS
+from stages.shared.layers import (
+    BODY_LABELS,
+    GARMENT_LABELS,
+    ONE_PIECE,
+    OUTERMOST_FIRST,
+    SKIN,
+    garments_of,
+    label_of,
+)
 from stages.shared.meshes.topology import vertex_normals
 
-_LABEL_ID = {name: label for label, name in LABELS.items()}
-SKIN, HAIR, SHOE = (_LABEL_ID[name] for name in ("skin", "hair", "shoe"))
-UPPER, OUTER = _LABEL_ID["upper"], _LABEL_ID["outer"]
-GARMENT_LABELS = tuple(_LABEL_ID[name] for name in ("lower", "upper", "outer"))  # inner to outer
-_OUTERMOST = (*reversed(GARMENT_LABELS), HAIR, SHOE, SKIN)
+UPPER, OUTER = label_of("upper"), label_of("outer")
 _LEGS = [JOINT_INDEX[f"{side}_{name}"] for side in ("left", "right") for name in ("hip", "knee", "ankle")]
 _TORSO_AND_ARMS = [
     *(JOINT_INDEX[name] for name in ("spine2", "spine3", "neck")),
@@ -79,7 +83,7 @@ def garment_layer(
 
     Beneath garments that lie over it, it goes on farther (`faces_beneath`).
     """
-    by_face = face_labels(labels, template.faces, _OUTERMOST)
+    by_face = face_labels(labels, template.faces, OUTERMOST_FIRST)
     own = by_face == label
     under = np.isin(by_face, [other for other in GARMENT_LABELS if other != label])
     over = np.isin(by_face, GARMENT_LABELS[GARMENT_LABELS.index(label) + 1 :])
@@ -99,10 +103,12 @@ def body_layer(
     pose: Poses,
 ) -> dict[str, np.ndarray]:
     """The body model's own mesh, whole under the garments, and the hair and shoes of the template."""
-    by_face = face_labels(labels, template.faces, _OUTERMOST)
+    by_face = face_labels(labels, template.faces, OUTERMOST_FIRST)
     nothing = np.zeros(len(by_face), dtype=bool)
     parts = [_body_mesh(template, labels, canonical_body, body, pose)]
-    for label in (HAIR, SHOE):
+    for label in reversed(BODY_LABELS):  # hair and shoes; the skin is the body model's own
+        if label == SKIN:
+            continue
         part = extract_part(template.faces, by_face == label, nothing, 0, len(labels))
         if len(part.faces):
             parts.append(_part_mesh(template, part, label, 0.0))
@@ -160,13 +166,13 @@ def slots_of(layers: dict[str, dict[str, np.ndarray]]) -> dict[str, list[str]]:
     A garment is one piece when the other of upper and lower is not there and a good part of its vertices
     follows the torso and the arms, and a good part the legs.
     """
-    found = {name: [name] for name in layers if name != "body"}
-    for name, other in (("upper", "lower"), ("lower", "upper")):
+    found = {name: [name] for name in garments_of(layers)}
+    for name, other in (ONE_PIECE, ONE_PIECE[::-1]):
         if name in layers and other not in layers:
             mesh = layers[name]
             weights = mesh["skin_weights"][mesh["ring"] == 0]
             leg = float(weights[:, _LEGS].sum(axis=1).mean()) if len(weights) else 0.0
             torso = float(weights[:, _TORSO_AND_ARMS].sum(axis=1).mean()) if len(weights) else 0.0
             if min(leg, torso) > _ONE_PIECE:
-                found[name] = ["lower", "upper"]
+                found[name] = list(ONE_PIECE)
     return found

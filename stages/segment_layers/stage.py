@@ -27,16 +27,17 @@ from stages.segment_layers.config import SegmentLayersConfig
 from stages.segment_layers.extract import join
 from stages.segment_layers.fill import fill_colors
 from stages.segment_layers.labelling import known_labels, label_vertices, tidy_labels
-from stages.segment_layers.layers import GARMENT_LABELS, Template, body_layer, garment_layer, slots_of
+from stages.segment_layers.layers import Template, body_layer, garment_layer, slots_of
 from stages.segment_layers.regions import vertex_areas
 from stages.shared.artifacts import Artifact, ExternalFiles, Workspace
 from stages.shared.artifacts.result import StageResult
 from stages.shared.body.model import BodyModel
-from stages.shared.capture import LABELS, NO_LABEL, Take, label_picture
+from stages.shared.capture import Take, label_picture
 from stages.shared.capture.layer_colors import has_label_images, layer_colors
 from stages.shared.capture.projection import project_labels
 from stages.shared.capture.template_views import frame_files, template_take
 from stages.shared.errors import MissingInput
+from stages.shared.layers import BODY, GARMENT_LABELS, LABELS, NO_LABEL, label_legend
 from stages.shared.meshes.picture import two_sided_picture
 from stages.shared.meshes.raycast import RayScene
 from stages.shared.meshes.topology import vertex_normals
@@ -91,7 +92,7 @@ def run(
 
         report.step("cutting out the layers")
         garments = {LABELS[label]: garment_layer(template, labels, label, config) for label in GARMENT_LABELS}
-        layers = {"body": body_layer(template, labels, canonical.arrays("body"), body, pose)}
+        layers = {BODY: body_layer(template, labels, canonical.arrays("body"), body, pose)}
         layers |= {name: mesh for name, mesh in garments.items() if len(mesh["faces"])}
 
         report.step("projecting colours")
@@ -172,8 +173,8 @@ def choose_labels(
     raise MissingInput(
         "There are no labels that say which part is skin, hair, shoe, upper, lower or outer garment.",
         f"label images of frame {frame}" if config.labels != "scan" else "labels of the scan",
-        "Add label images (one PNG per camera with ids 0 skin, 1 hair, 2 shoe, 3 upper, 4 lower, 5 outer, "
-        "255 none), or register a scan with a `label` per vertex.",
+        f"Add label images (one PNG per camera with ids {label_legend()}), "
+        "or register a scan with a `label` per vertex.",
     )
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.shared.body import JOINT_INDEX, Poses
+from stages.shared.layers import BODY, SKIN, label_id
 from stages.shared.pictures.srgb import linear_from_srgb
 from stages.synth.bodies import Person, ShapedBody
 from stages.synth.coverings import hair_cap, shoe
@@ -17,7 +18,7 @@ from stages.synth.patterns import ROW_LENGTH, VERTEX_COLORS
 
 Floats = NDArray[np.float64]
 
-SKIN, HAIR, SHOE = 0, 1, 2
+HAIR, SHOE = label_id("hair"), label_id("shoe")
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +26,7 @@ class Bound:
     """A mesh that moves with the bones: hair or a shoe.
 
     Attributes:
-        name: what it is; label: 1 hair, 2 shoe.
+        name: what it is; label: id of hair or shoe.
         vertices: (V, 3) metres, rest frame of the wearer; faces: (F, 3); weights: (V, 55).
         color: albedo, sRGB 0..1.
     """
@@ -101,7 +102,7 @@ def look_of(body: ShapedBody, person: Person, bound: list[Bound], garments: list
         start += count
 
     no_uv = np.zeros((len(body.faces), 3, 2))
-    append("body", SKIN, len(body.rest_vertices), body.faces, _body_colors(body, person), 0, no_uv)
+    append(BODY, SKIN, len(body.rest_vertices), body.faces, _body_colors(body, person), 0, no_uv)
     for piece in bound:
         uv = np.zeros((len(piece.faces), 3, 2))
         append(piece.name, piece.label, len(piece.vertices), piece.faces, _shaded(piece), 0, uv)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.shared.layers import LAYER_OF_LABEL, label_of
 from stages.synth.bodies import ShapedBody
 from stages.synth.coverings import (
     Cut,
@@ -25,8 +26,7 @@ from stages.synth.skirt import flared_skirt
 
 Floats = NDArray[np.float64]
 
-UPPER, LOWER, OUTER = 3, 4, 5
-LAYER_NAMES = {UPPER: "upper", LOWER: "lower", OUTER: "outer"}
+UPPER, LOWER, OUTER = label_of("upper"), label_of("lower"), label_of("outer")
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class Garment:
 
     Attributes:
         name: what it is.
-        label: 3 upper, 4 lower, 5 outer.
+        label: id in label images.
         vertices: (V, 3) f64 metres, rest frame of the wearer: also its unstretched shape.
         faces: (F, 3) i64, normals away from the body.
         corner_uv: (F, 3, 2) f64 metres, texture coordinates per triangle corner.
@@ -57,7 +57,8 @@ class Garment:
 
     @property
     def layer(self) -> str:
-        return LAYER_NAMES[self.label]
+        """The layer that the garment belongs to."""
+        return LAYER_OF_LABEL[self.label]
 
 
 @dataclass(frozen=True, eq=False)

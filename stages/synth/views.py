@@ -8,7 +8,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from stages.shared.capture import NO_LABEL, Camera
+from stages.shared.capture import Camera
+from stages.shared.layers import NO_LABEL
 from stages.shared.meshes import RayScene, vertex_normals
 from stages.shared.pictures.srgb import srgb_from_linear
 from stages.synth.dressed import Look

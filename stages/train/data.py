@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from stages.shared.body import BodyModel, Poses, posed_vertices
-from stages.shared.capture import NO_LABEL, Camera
+from stages.shared.capture import Camera
 from stages.shared.capture.take import MASK_THRESHOLD
 from stages.shared.errors import MissingInput
+from stages.shared.layers import BODY, NO_LABEL
 from stages.train.ahead import Ahead
 from stages.train.footage import Footage
 from stages.train.method import layer_of_label
@@ -189,8 +190,8 @@ class TrainingViews:
             layer[labels == NO_LABEL] = _UNKNOWN
         layer[mask <= MASK_THRESHOLD] = _BACKGROUND
         outline = mesh_outline(self._body_vertices(frame), self.body.faces, seen_by)
-        if "body" in self.layers:  # hair and shoes are part of the body, but not of the body model
-            outline |= layer == self.layers.index("body")
+        if BODY in self.layers:  # hair and shoes are part of the body, but not of the body model
+            outline |= layer == self.layers.index(BODY)
         return _Crop(seen_by, self.footage.image(camera, frame)[inside].copy(), mask.copy(), layer, outline)
 
     def _body_vertices(self, frame: int) -> NDArray[np.float32]:

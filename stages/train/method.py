@@ -27,13 +27,12 @@ from torch import Tensor
 from stages.shared.avatar.config import NETWORKS
 from stages.shared.avatar.decoders.registry import decoder_class
 from stages.shared.avatar.maps import LayerMaps
-from stages.shared.capture import LAYER_OF_LABEL, LAYERS
 from stages.shared.errors import MissingInput, UsageProblem
+from stages.shared.layers import BODY, CLOTHING, LAYER_OF_LABEL, LAYERS, WHOLE
 from stages.train.ablation import ablated
 from stages.train.config import METHODS, TrainConfig
 from stages.train.window import SMALLEST
 
-WHOLE, CLOTHING = "whole", "clothing"
 BASELINE_DECODER = "styleunet"
 _PUBLISHED_OFFSET = 0.005
 _POKES_THROUGH = 0.01  # m: a fitted body that is in front of cloth by less than this lies beneath it
@@ -123,20 +122,20 @@ def method_layers(method: str, maps: dict[str, LayerMaps], betas: Tensor) -> Met
         whole, ids = whole_layer(list(maps.values()), betas)
         return MethodLayers({WHOLE: whole}, {WHOLE: ids})
     if method == "layga":
-        garments = [layer for name, layer in maps.items() if name != "body"]
-        if "body" not in maps or not garments:
+        garments = [layer for name, layer in maps.items() if name != BODY]
+        if BODY not in maps or not garments:
             raise MissingInput(
                 "LayGA needs a body and a garment.", "layers of bake-maps", "Choose another --method."
             )
-        clothing, ids = clothing_layer(maps["body"], garments)
-        return MethodLayers({"body": maps["body"], CLOTHING: clothing}, {CLOTHING: ids})
+        clothing, ids = clothing_layer(maps[BODY], garments)
+        return MethodLayers({BODY: maps[BODY], CLOTHING: clothing}, {CLOTHING: ids})
     return MethodLayers(maps, {})
 
 
 def layer_of_label(names: Sequence[str]) -> dict[int, str]:
     """Label id to the layer of these that shows it; the clothing of LayGA shows all garments."""
     if CLOTHING in names:
-        return {label: layer if layer == "body" else CLOTHING for label, layer in LAYER_OF_LABEL.items()}
+        return {label: layer if layer == BODY else CLOTHING for label, layer in LAYER_OF_LABEL.items()}
     return {label: layer for label, layer in LAYER_OF_LABEL.items() if layer in names}
 
 

@@ -12,6 +12,7 @@ from stages.shared.avatar.deform import PosedGaussians
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.capture import Camera
 from stages.shared.capture.camera import Box
+from stages.shared.layers import BODY, TOUCHING
 from stages.shared.losses.covered_skin import covered_skin_loss, hand_texels
 from stages.shared.losses.crops import mask_box, square_crop
 from stages.shared.losses.flow import dense_flow, flow_loss
@@ -28,16 +29,6 @@ from stages.shared.losses.ssim import ssim_loss
 from stages.shared.splat.api import rasterize, rasterize_layers
 from stages.train.config import LossWeights
 from stages.train.data import View
-
-# Which layers lie directly under which: the garment of each pair must stay outside the other.
-_PAIRS = (
-    ("body", "lower"),
-    ("body", "upper"),
-    ("lower", "upper"),
-    ("upper", "outer"),
-    ("body", "outer"),
-    ("body", "clothing"),
-)
 
 
 def camera_tensors(camera: Camera, like: Tensor) -> tuple[Tensor, Tensor]:
@@ -73,7 +64,7 @@ def render(composite: Composite, camera: Camera, body_alone: bool = False, backe
             covars=covars,
             layer_ids=composite.layer_ids,
             layers=len(composite.layers),
-            alone=(composite.layers.index("body"),),
+            alone=(composite.layers.index(BODY),),
             alone_channels=0,
             backend=backend,
         )
@@ -126,7 +117,7 @@ def picture_terms(
     `background` (3,) lies behind render and truth alike; pixels on the mask's edge do not count.
     Without a `lens` there is no LPIPS.
     """
-    outline = weights.silhouette > 0 and "body" in composite.layers
+    outline = weights.silhouette > 0 and BODY in composite.layers
     picture = render(composite, view.camera, outline)
     valid = view.valid[..., None]
     image = picture.color + (1.0 - picture.alpha)[..., None] * background
@@ -170,10 +161,10 @@ class Surfaces:
     def of(cls, maps: dict[str, LayerMaps]) -> Surfaces:
         """From the maps of all layers."""
         nothing = torch.zeros(0, dtype=torch.bool)
-        if "body" not in maps:
+        if BODY not in maps:
             return cls(maps, nothing, nothing)
-        body = maps["body"]
-        covered = body.covered_by([layer for name, layer in maps.items() if name != "body"])
+        body = maps[BODY]
+        covered = body.covered_by([layer for name, layer in maps.items() if name != BODY])
         return cls(maps, covered, hand_texels(body.skin_weights) & ~covered)
 
 
@@ -201,7 +192,7 @@ def surface_terms(
         terms["seam"] = _total(
             seam_loss(layer.offsets, layer.colors, maps[name].seams) for name, layer in posed.items()
         )
-    pairs = [(inner, outer) for inner, outer in _PAIRS if inner in posed and outer in posed]
+    pairs = [(inner, outer) for inner, outer in TOUCHING if inner in posed and outer in posed]
     if weights.penetration > 0 and pairs:
         terms["penetration"] = _total(
             penetration_loss(
@@ -209,10 +200,10 @@ def surface_terms(
             )
             for inner, outer in pairs
         )
-    if "body" in posed and weights.opacity > 0:
-        terms["opacity"] = opacity_loss(posed["body"].opacities)
-    if "body" in posed and weights.covered_skin > 0:
-        terms["covered_skin"] = covered_skin_loss(posed["body"].colors, surfaces.covered, surfaces.hands)
+    if BODY in posed and weights.opacity > 0:
+        terms["opacity"] = opacity_loss(posed[BODY].opacities)
+    if BODY in posed and weights.covered_skin > 0:
+        terms["covered_skin"] = covered_skin_loss(posed[BODY].colors, surfaces.covered, surfaces.hands)
     return terms
 
 

@@ -7,7 +7,7 @@ import torch
 from numpy.typing import NDArray
 
 from stages.shared.avatar.compose import compose
-from stages.shared.capture import LABEL_COLORS
+from stages.shared.layers import LABEL_COLORS, SKIN
 from stages.train.data import TrainingViews, View
 from stages.train.method import layer_of_label
 from stages.train.objective import render
@@ -49,7 +49,7 @@ def _truth(view: View) -> NDArray[np.uint8]:
 def _layer_colors(layers: tuple[str, ...]) -> torch.Tensor:
     """(L, 3) 0..1: the label colour of each layer; a baseline's clothing takes the first of its garments'."""
     first = {layer: label for label, layer in reversed(layer_of_label(layers).items())}
-    return torch.tensor([LABEL_COLORS[first.get(layer, 0)] for layer in layers]) / 255.0
+    return torch.tensor([LABEL_COLORS[first.get(layer, SKIN)] for layer in layers]) / 255.0
 
 
 def _bytes(image: torch.Tensor) -> NDArray[np.uint8]:

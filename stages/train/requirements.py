@@ -14,7 +14,7 @@ from stages.shared.avatar.maps import LayerMaps
 from stages.shared.avatar.pose import frame_pose
 from stages.shared.avatar.used_joints import GROUPS, describe_rest
 from stages.shared.body import BodyModel, Poses
-from stages.shared.capture.labels import LAYERS
+from stages.shared.layers import LAYERS
 from stages.train.config import TrainConfig
 from stages.train.trainer import Trainer
 

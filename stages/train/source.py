@@ -12,9 +12,10 @@ from stages.pipeline import BAKE_MAPS, REGISTER_TEMPLATE
 from stages.shared.artifacts import Artifact, ExternalFiles, Workspace
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.body import BodyModel, Poses
-from stages.shared.capture import LAYERS, Capture, Take
+from stages.shared.capture import Capture, Take
 from stages.shared.capture.subject import open_subject_capture
 from stages.shared.errors import MissingInput, UsageProblem
+from stages.shared.layers import in_order
 from stages.shared.poses import load_poses
 from stages.train.config import ALL_TAKES, METHODS, TrainConfig
 from stages.train.footage import Footage, joined
@@ -138,5 +139,4 @@ def _pose_files(workspace: Workspace, capture: Capture, others: list[Take]) -> E
 
 def _baked_maps(baked: Artifact) -> dict[str, LayerMaps]:
     """Maps of the layers that are there, inner to outer."""
-    layers = [name for name in LAYERS if name in baked.summary["layers"]]
-    return {name: LayerMaps.load(baked, name) for name in layers}
+    return {name: LayerMaps.load(baked, name) for name in in_order(baked.summary["layers"])}

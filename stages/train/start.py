@@ -22,14 +22,14 @@ from stages.shared.artifacts import Artifact, ExternalFiles, Workspace
 from stages.shared.artifacts.workspace import CURRENT_NAME
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.body import BodyModel, shaped_vertices
-from stages.shared.capture import LAYERS
 from stages.shared.errors import MissingInput, UsageProblem
+from stages.shared.layers import BODY, in_order
 from stages.shared.outfit.coverage import same_grid
 from stages.shared.outfit.layer import WornLayer, layer_of_training
 from stages.shared.poses import load_poses
 from stages.train.config import METHODS, LossWeights, TrainConfig
 
-FROZEN = ("body",)
+FROZEN = (BODY,)
 INPUT_NAME = "from-subject"
 _SAME_PERSON = 0.01  # m between two fits of one body, mean over the skin
 
@@ -147,7 +147,7 @@ def _chosen(
             "layers of bake-maps",
             "Leave --from-subject out, or see what gw segment-layers found.",
         )
-    return [name for name in LAYERS if name in names]
+    return in_order(names)
 
 
 def _files(theirs: Workspace, baked: Artifact, trained: Artifact, names: list[str]) -> ExternalFiles:

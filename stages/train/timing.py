@@ -19,6 +19,7 @@ from torch import Tensor
 from stages.shared.avatar.compose import Composite, compose
 from stages.shared.capture import Camera
 from stages.shared.errors import UsageProblem
+from stages.shared.layers import BODY
 from stages.shared.report import SILENT, Report
 from stages.shared.splat.api import rasterize
 from stages.shared.splat.kernels.threads import watch
@@ -87,7 +88,7 @@ def measure(trainer: Trainer, steps: int, report: Report, update: bool = True) -
     report.step("splatting alone")
     composite, cameras = _pictures(trainer, first)
     ways: dict[str, Draw] = {"shared": _shared}
-    if "body" in composite.layers:
+    if BODY in composite.layers:
         ways["separate"] = _separate
     splat = _interleaved(ways, composite, cameras, steps)
     found: dict[str, Any] = {
@@ -121,7 +122,7 @@ def _pictures(trainer: Trainer, number: int) -> tuple[Composite, list[Camera]]:
 
 
 def _shared(composite: Composite, camera: Camera) -> list[Tensor]:
-    picture = render(composite, camera, body_alone="body" in composite.layers)
+    picture = render(composite, camera, body_alone=BODY in composite.layers)
     found = [picture.color, picture.labels, picture.alpha, picture.body_alpha]
     return [image for image in found if image is not None]
 
@@ -138,7 +139,7 @@ def _separate(composite: Composite, camera: Camera) -> list[Tensor]:
         )  # fmt: skip
 
     colors, labels = draw(slice(None), slice(3)), draw(slice(None), slice(3, None))
-    body = draw(composite.layer_ids == composite.layers.index("body"), slice(1))
+    body = draw(composite.layer_ids == composite.layers.index(BODY), slice(1))
     return [colors.features, labels.features, colors.alpha, body.alpha]
 
 

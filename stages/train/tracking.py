@@ -22,6 +22,7 @@ from stages.shared.avatar.decoders.base import Decoder
 from stages.shared.avatar.decoders.key_poses import KeyPoseOffsets
 from stages.shared.avatar.deform import PosedGaussians, blended, pose_layer
 from stages.shared.avatar.pose import FramePose
+from stages.shared.layers import BODY
 from stages.train.begin import Beginnings
 from stages.train.cells import Cells
 from stages.train.collision import outwards
@@ -152,9 +153,9 @@ class Tracker:
                     seen,
                     _PER_METRE,
                 )
-        if self.config.collision and "body" in posed:
+        if self.config.collision and BODY in posed:
             for name in self.tracked:
-                matrix, right = outwards(posed[name].means, posed["body"], carried[name], _PER_METRE)
+                matrix, right = outwards(posed[name].means, posed[BODY], carried[name], _PER_METRE)
                 equations[name].matrix[:] += self.config.collision * matrix
                 equations[name].right[:] += self.config.collision * right
         return {

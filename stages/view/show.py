@@ -15,6 +15,7 @@ from stages.shared.artifacts.pictures import encode_png
 from stages.shared.body import Poses, canonical_poses
 from stages.shared.capture.camera import Camera, checked_camera
 from stages.shared.errors import UsageProblem
+from stages.shared.layers import SLOTS
 from stages.shared.outfit.grounding import grounded
 from stages.shared.outfit.outfit import Outfit
 from stages.shared.outfit.picture import take_picture
@@ -67,6 +68,7 @@ class Show:
         (camera,) = viewpoint_cameras("static", outfit.body_model, poses, outfit.betas, size)
         return {
             "pieces": self.shelf.described(),
+            "slots": list(SLOTS),
             "wear": list(self.shelf.worn),
             "betasAsked": betas,
             "betas": [round(float(value), 4) for value in outfit.betas],

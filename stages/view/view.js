@@ -2,7 +2,6 @@
 "use strict";
 const byId = (name) => document.getElementById(name);
 const token = new URLSearchParams(location.search).get("token") || "";
-const LAYERS = ["lower", "upper", "outer"];
 const KEPT_BYTES = 256 << 20; // of moments that were shown already
 
 const gw = { ready: false, drawn: 0, wish: { wear: [], motion: 0, row: 0, betas: "" }, playing: false };
@@ -108,7 +107,7 @@ function showLayers(layers) {
   }));
 }
 
-function offerPieces(pieces) {
+function offerPieces(pieces, slots) {
   byId("wardrobe").hidden = !pieces.length;
   const choice = (title, offered, optional) => {
     const select = element("select", { name: "wear-" + title });
@@ -122,9 +121,9 @@ function offerPieces(pieces) {
     return element("label", {}, element("span", {}, title), select);
   };
   const rows = [choice("body", pieces.filter((piece) => piece.kind === "body"), false)];
-  for (const layer of LAYERS) {
-    const offered = pieces.filter((piece) => piece.layer === layer);
-    if (offered.length) rows.push(choice(layer, offered, true));
+  for (const slot of slots) {
+    const offered = pieces.filter((piece) => piece.layer === slot);
+    if (offered.length) rows.push(choice(slot, offered, true));
   }
   byId("pieces").replaceChildren(...rows);
 }
@@ -214,7 +213,7 @@ async function begin() {
   gw.wish.wear = show.wear;
   gw.orbit = new OrbitCamera(show.start, redraw);
   gw.orbit.listen(byId("canvas"));
-  offerPieces(show.pieces);
+  offerPieces(show.pieces, show.slots);
   offerShape(show.betas);
   byId("motion").append(...show.motions.map(({ name }, index) => element("option", { value: index }, name)));
   byId("motion").addEventListener("change", (event) => chooseMotion(Number(event.target.value)));

@@ -15,7 +15,7 @@ from gw_cli.app import app
 from stages.shared.artifacts.bundle import write_bundle
 from stages.shared.artifacts.files import using_layer
 from stages.shared.body.poses import npz_bytes
-from stages.shared.capture import LABELS
+from stages.shared.layers import LABELS
 from tests.crash.fake_stage import FailingLayer
 from tests.shared.capture import scene
 from tests.shared.capture.people import FRAMES, SIDE, rest_poses, write_person

@@ -22,8 +22,8 @@ from stages.shared.artifacts import Artifact
 from stages.shared.body.canonical import posed_from_canonical
 from stages.shared.body.inverse import forward_skin
 from stages.shared.body.load import embedded_body
-from stages.shared.capture.labels import LABELS
 from stages.shared.errors import BadData, MissingInput
+from stages.shared.layers import LABELS
 from stages.shared.meshes.load import write_ply
 from stages.shared.meshes.mesh import Mesh
 from stages.shared.meshes.raycast import RayScene

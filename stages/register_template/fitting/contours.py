@@ -12,15 +12,13 @@ from stages.register_template.fitting.bones import Doubles
 from stages.register_template.silhouettes import signed_distance
 from stages.shared.capture import Take
 from stages.shared.capture.camera import Camera
-from stages.shared.capture.labels import NO_LABEL
 from stages.shared.capture.take import MASK_THRESHOLD
+from stages.shared.layers import LABEL_IDS, NO_LABEL, SKIN_CONTACT
 
 LONG_SIDE = 384  # pixels at which masks are compared
 _BLUR = 1.5  # pixels, of the field that normals come from
 _BORDER = 2.5  # pixels; a contour there is the edge of the image, not of the person
 _FINGERPRINT = 5  # side of the square of pixels in which labels next to the contour are looked for
-_BOUND_OF_LABEL = {0: 1.0, 2: 0.3}  # skin, shoes; everything else is loose
-_LOOSE = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,9 +101,9 @@ def _bound(take: Take, name: str, frame: int, pixels: NDArray, factor: float) ->
     rows = np.clip(full[:, 1, None, None] + reach[:, None], 0, labels.shape[0] - 1)
     columns = np.clip(full[:, 0, None, None] + reach[None, :], 0, labels.shape[1] - 1)
     around = labels[rows, columns].reshape(len(pixels), -1)
-    counts = np.stack([(around == label).sum(axis=1) for label in range(6)], axis=1)
-    commonest = np.where(counts.any(axis=1), counts.argmax(axis=1), NO_LABEL)
-    bound = np.full(len(pixels), _LOOSE)
-    for label, share in _BOUND_OF_LABEL.items():
+    counts = np.stack([(around == label).sum(axis=1) for label in LABEL_IDS], axis=1)
+    commonest = np.where(counts.any(axis=1), np.array(LABEL_IDS)[counts.argmax(axis=1)], NO_LABEL)
+    bound = np.zeros(len(pixels))
+    for label, share in SKIN_CONTACT.items():
         bound[commonest == label] = share
     return bound

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from stages.register_template.fitting.bones import Doubles, SurfacePoints, surface_points
 from stages.register_template.fitting.solve import Residuals
 from stages.shared.body import BodyModel
+from stages.shared.layers import SKIN_CONTACT
 from stages.shared.meshes.mesh import Mesh
 from stages.shared.meshes.raycast import RayScene
 from stages.shared.meshes.topology import face_normals, vertex_normals
@@ -19,7 +20,6 @@ from stages.shared.meshes.topology import face_normals, vertex_normals
 _MEASUREMENTS = 1000.0
 _NOISE_M, _NOISE_SHARE = 0.004, 0.2  # the least, and a share of the robust distance
 _SAME_SIDE = 0.3  # least cosine between normals of paired points
-_LOOSE_LABELS, _SHOE_LABEL, _SHOE_BOUND = (1, 3, 4, 5), 2, 0.3  # hair and garments; shoes sit close
 _ESCAPING_RAYS, _RAYS = 2, 24  # a body point from which fewer rays escape is inside the mouth or an eye
 
 
@@ -75,8 +75,8 @@ def scan_points(mesh: Mesh, count: int, seed: int = 0) -> ScanPoints:
     bound = np.ones(count)
     if mesh.labels is not None:
         labels = mesh.labels[corners]
-        bound[(labels == _SHOE_LABEL).any(axis=1)] = _SHOE_BOUND
-        bound[np.isin(labels, _LOOSE_LABELS).any(axis=1)] = 0.0
+        for label, contact in SKIN_CONTACT.items():
+            bound = np.where((labels == label).any(axis=1), np.minimum(bound, contact), bound)
     colors = None
     if mesh.colors is not None:
         colors = np.einsum("mk,mkc->mc", shares, mesh.colors[corners] / 255.0)

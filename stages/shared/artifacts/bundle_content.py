@@ -35,8 +35,8 @@ import numpy as np
 from stages.shared.artifacts.arrays import Arrays
 from stages.shared.artifacts.bundle_precision import may_be_half
 from stages.shared.errors import BadData
+from stages.shared.layers import BODY, LAYERS, SLOTS
 
-LAYERS = ("body", "lower", "upper", "outer")
 JOINTS = 55
 BETAS = 10
 MAX_TEXELS = 2_000_000
@@ -85,9 +85,9 @@ def check_manifest(manifest: dict[str, Any], where: str) -> None:
         if not isinstance(manifest.get(name), kind):
             raise _bad(f"its manifest lacks {name!r}, or it is not of its kind", where)
     kind, layer, slots = manifest["kind"], manifest["layer"], manifest["slots"]
-    if kind not in ("body", "garment") or layer not in LAYERS or (kind == "body") != (layer == "body"):
+    if kind not in ("body", "garment") or layer not in LAYERS or (kind == "body") != (layer == BODY):
         raise _bad(f"it is of kind {kind!r} and layer {layer!r}", where)
-    fitting = [] if kind == "body" else [slot for slot in LAYERS[1:] if slot in slots]
+    fitting = [] if kind == "body" else [slot for slot in SLOTS if slot in slots]
     if slots != fitting or (kind == "garment" and layer not in slots):
         raise _bad(f"its slots {str(slots)[:80]} do not fit its layer {layer}", where)
     body = manifest["body_model"]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from stages.shared.layers import BODY
+
 NETWORKS = ("all", "garments", "none")
 
 
@@ -62,7 +64,7 @@ class ModelConfig:
 
     def networks_of(self, layer: str) -> tuple[int, ...]:
         """Output channels of every network that a layer has."""
-        if self.networks == "none" or (self.networks == "garments" and layer == "body"):
+        if self.networks == "none" or (self.networks == "garments" and layer == BODY):
             return ()
         return (14,) if self.heads == "joint" else (3, 3, 8)
 

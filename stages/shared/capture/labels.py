@@ -1,9 +1,8 @@
-"""Which label means what, and label images in the three ways people store them."""
+"""Label images: read in the three ways they are stored, and painted for people."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,28 +10,7 @@ from numpy.typing import NDArray
 from stages.shared.capture.images import decode, read_bytes
 from stages.shared.capture.png import palette_as_grey
 from stages.shared.errors import BadData
-
-LABELS: Final[dict[int, str]] = {
-    0: "skin",
-    1: "hair",
-    2: "shoe",
-    3: "upper",
-    4: "lower",
-    5: "outer",
-    255: "none",
-}
-NO_LABEL: Final = 255
-LAYERS: Final[tuple[str, ...]] = ("body", "lower", "upper", "outer")  # inner to outer
-LAYER_OF_LABEL: Final[dict[int, str]] = {0: "body", 1: "body", 2: "body", 3: "upper", 4: "lower", 5: "outer"}
-LABEL_COLORS: Final[dict[int, tuple[int, int, int]]] = {  # RGB, the colours of 4D-DRESS
-    0: (128, 128, 128),
-    1: (255, 128, 0),
-    2: (128, 0, 255),
-    3: (180, 50, 50),
-    4: (50, 180, 50),
-    5: (0, 128, 255),
-    255: (255, 255, 255),
-}
+from stages.shared.layers import LABEL_COLORS, LABELS, label_legend
 
 _UNKNOWN = 254
 _Image = NDArray[np.uint8]
@@ -70,9 +48,7 @@ def read_labels(path: Path) -> _Image:
         raise BadData(
             f"The label image uses {found}, which mean nothing here.",
             str(path),
-            "Use ids "
-            + ", ".join(f"{value} {name}" for value, name in LABELS.items())
-            + ", or 4D-DRESS's colours.",
+            f"Use ids {label_legend()}, or the colours of 4D-DRESS.",
         )
     return ids
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.shared.capture.labels import LABELS
 from stages.shared.capture.pickles import PickleReader, array_of, dictionary
 from stages.shared.errors import BadData
+from stages.shared.layers import LABELS
 from stages.shared.meshes.mesh import Mesh, check_mesh
 
 

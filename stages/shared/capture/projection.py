@@ -10,16 +10,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stages.shared.capture.camera import Camera
-from stages.shared.capture.labels import LABELS, NO_LABEL
 from stages.shared.capture.take import Take
 from stages.shared.errors import MissingInput
 from stages.shared.finite import finite, require_finite
+from stages.shared.layers import LABEL_IDS, NO_LABEL
 from stages.shared.meshes.raycast import RayScene
 
 Floats = NDArray[np.float32]
 Flags = NDArray[np.bool_]
 
-LABEL_IDS = tuple(label for label in LABELS if label != NO_LABEL)
 _OFFSET = 0.001  # m above the surface, so that a point is not hidden by the faces it lies on
 _TOLERANCE = 0.002  # m; what is this near to the point does not hide it
 _DEPTH_STEP = 0.01  # m beside two pixels' widths: a silhouette, where images mix two surfaces

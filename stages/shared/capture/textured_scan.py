@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.shared.capture.camera import Camera
-from stages.shared.capture.labels import NO_LABEL
 from stages.shared.capture.pickled_scan import read_scan
 from stages.shared.capture.pickles import PickleReader
 from stages.shared.capture.projection import sample_bilinear
 from stages.shared.errors import BadData
+from stages.shared.layers import NO_LABEL
 from stages.shared.meshes.mesh import Mesh
 from stages.shared.meshes.raycast import RayScene
 

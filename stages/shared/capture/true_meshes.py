@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.shared.body.npz import NumericNpz
-from stages.shared.capture.labels import LAYERS
 from stages.shared.capture.take import Capture
 from stages.shared.errors import BadData, MissingInput, UsageProblem
+from stages.shared.layers import SLOTS
 
 _WHAT = "true meshes"
 _PLACES = ("{take}/gt/meshes.npz", "takes/{take}/gt/meshes.npz")
@@ -59,7 +59,7 @@ def read_true_meshes(path: Path) -> TrueMeshes:
         frames = _integers(archive.array("frames"), path, "frames")
         if frames.ndim != 1 or len(np.unique(frames)) != len(frames) or (frames < 0).any():
             raise BadData("frames is no list of different frame numbers.", f"{path}: frames", _FIX)
-        names = [layer for layer in LAYERS[1:] if f"{layer}_v" in archive]
+        names = [layer for layer in SLOTS if f"{layer}_v" in archive]
         if not names:
             raise BadData("There is no garment among the true meshes.", str(path), _FIX)
         layers = {name: _mesh(archive, name, len(frames)) for name in names}

@@ -11,11 +11,12 @@ import torch
 from numpy.typing import NDArray
 
 from stages.shared.capture.take import MASK_THRESHOLD
+from stages.shared.layers import REGIONS
 from stages.shared.losses.crops import mask_box, square_crop
 from stages.shared.losses.perceptual import Perceptual
 from stages.shared.metrics.flip import flip
 from stages.shared.metrics.psnr import Picture, psnr
-from stages.shared.metrics.segmentation import GARMENT_LABELS, segmentation_scores
+from stages.shared.metrics.segmentation import segmentation_scores
 from stages.shared.metrics.sharpness import sharpness
 from stages.shared.metrics.silhouette import iou
 from stages.shared.metrics.ssim import ssim, ssim_in_box
@@ -24,7 +25,6 @@ Scores = dict[str, float | None]
 Labels = NDArray[np.uint8]
 _LPIPS_SIDE, _LPIPS_MARGIN = 512, 50  # pixels, as published avatars are scored
 _SMALLEST_REGION = 50  # pixels; smaller regions say nothing
-_REGIONS = {"upper": (3,), "lower": (4,), "outer": (5,), "rest": (0, 1, 2)}
 
 NAMES = (
     "psnr_foreground",
@@ -38,7 +38,7 @@ NAMES = (
     "recall",
     "f1",
     "sharpness",
-    *(f"psnr_{region}" for region in _REGIONS),
+    *(f"psnr_{region}" for region in REGIONS),
 )
 FOREGROUND_NAMES = ("psnr_foreground", "ssim_foreground", "iou")  # mean nothing without a mask
 
@@ -90,12 +90,12 @@ def view_scores(view: ViewPair, perceptual: Perceptual | None = None) -> Scores:
     if perceptual is not None:
         scores["lpips"] = _lpips(perceptual, prediction_on_white, truth_on_white, inside)
     if view.truth_labels is not None:
-        for region, labels in _REGIONS.items():
+        for region, labels in REGIONS.items():
             member = inside & np.isin(view.truth_labels, labels)
             if member.sum() >= _SMALLEST_REGION:
                 scores[f"psnr_{region}"] = psnr(view.prediction, view.truth, member)
     if view.truth_labels is not None and view.prediction_labels is not None:
-        scores |= segmentation_scores(view.prediction_labels, view.truth_labels, GARMENT_LABELS)
+        scores |= segmentation_scores(view.prediction_labels, view.truth_labels)
     return scores
 
 

@@ -7,9 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.shared.layers import GARMENT_LABELS
 from stages.shared.metrics.silhouette import iou
-
-GARMENT_LABELS = (3, 4, 5)  # upper, lower, outer
 
 
 def segmentation_scores(

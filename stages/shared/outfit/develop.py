@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from stages.shared.capture.labels import NO_LABEL
+from stages.shared.layers import NO_LABEL
 
 # mypy: ignore-errors
 # (compiled and type-checked by numba)

@@ -21,6 +21,7 @@ from torch import Tensor
 from stages.shared.avatar.compose import Composite
 from stages.shared.body import Poses, posed_joints
 from stages.shared.capture.camera import Camera
+from stages.shared.layers import BODY
 from stages.shared.outfit.coverage import covered_weights, same_grid
 from stages.shared.outfit.outfit import Outfit
 from stages.shared.outfit.player import Player
@@ -65,7 +66,7 @@ def deep_beneath(outfit: Outfit) -> NDArray[np.bool_]:
     """(N,) texels of the body that a garment on the same grid covers wholly."""
     body = outfit.layers[0].maps
     covered = np.zeros(len(body), bool)
-    if outfit.layers[0].name == "body":
+    if outfit.layers[0].name == BODY:
         for layer in outfit.layers[1:]:
             if same_grid(body, layer.maps):
                 covered |= covered_weights(body, layer.maps) >= 1

@@ -15,9 +15,7 @@ from stages.shared.artifacts.bundle_precision import whole
 from stages.shared.avatar.decoders.base import Decoder
 from stages.shared.avatar.decoders.registry import load_decoder
 from stages.shared.avatar.maps import LayerMaps
-from stages.shared.capture.labels import LABELS, LAYERS
-
-BASELINE_LAYERS = ("clothing", "whole")  # of the baselines in stages/train/method.py, worn over a body
+from stages.shared.layers import SLOTS, label_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,13 +74,6 @@ class WornLayer:
         return label_of(self.name)
 
 
-def label_of(layer: str) -> int:
-    """Label id of a layer: 0 for the body, else that of the garment."""
-    if layer == "body":
-        return 0
-    return next(label for label, name in LABELS.items() if name == layer)
-
-
 def layer_of_bundle(bundle: Bundle) -> WornLayer:
     """The layer in a bundle. Raises BadData where model and maps do not fit."""
     manifest, bundle = bundle.manifest, replace(bundle, arrays=whole(bundle.arrays))
@@ -122,7 +113,7 @@ def layer_of_training(name: str, baked: Artifact, trained: Artifact) -> WornLaye
     else:
         maps = LayerMaps.load(baked, name)
     model = _model(config, maps, trained.arrays(f"{name}.safetensors"))
-    slots = (name,) if name in LAYERS[1:] else ()
+    slots = (name,) if name in SLOTS else ()
     return WornLayer(name, slots, maps, model, trained.digest, layer_ids=ids)
 
 

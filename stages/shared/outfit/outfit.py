@@ -16,9 +16,9 @@ from stages.shared.avatar.deform import PosedGaussians, pose_layer
 from stages.shared.avatar.motion import recent_motion
 from stages.shared.avatar.pose import frame_pose
 from stages.shared.body import BodyModel, Poses
-from stages.shared.capture.labels import LAYERS
 from stages.shared.errors import BadData, UsageProblem
-from stages.shared.outfit.layer import BASELINE_LAYERS, WornLayer, layer_of_bundle, layer_of_training
+from stages.shared.layers import BASELINE_LAYERS, BODY, LAYERS
+from stages.shared.outfit.layer import WornLayer, layer_of_bundle, layer_of_training
 from stages.shared.outfit.push import Push, plan_push
 from stages.shared.outfit.rebind import convertible, rebound
 from stages.shared.outfit.restore import Restoration, plan_restoration, restored
@@ -72,11 +72,11 @@ class Outfit:
             history = layer.model.model_config.history
             motion = recent_motion(poses, frame, history) if history else None
             attributes = layer.model(pose.local_transforms, motion=motion)
-            if layer.name == "body":
+            if layer.name == BODY:
                 attributes = swapped(restored(attributes, self.restoration), list(self.swaps))
             posed[layer.name] = pose_layer(layer.maps, attributes, pose.transforms, pose.betas)
             if layer.name in pushes:
-                posed[layer.name] = pushes[layer.name].applied(posed[layer.name], posed["body"])
+                posed[layer.name] = pushes[layer.name].applied(posed[layer.name], posed[BODY])
         return posed
 
     @torch.no_grad()

@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.shared.layers import BODY
 from stages.shared.splat.rendering import LayeredRendering, Rendering
 
 if TYPE_CHECKING:
@@ -42,7 +43,7 @@ class PenetrationConfig:
 
     def margin(self, inner: str) -> float:
         """Metres that a layer may be in front of a garment and still count as poking through."""
-        return self.body_margin if inner == "body" else self.garment_margin
+        return self.body_margin if inner == BODY else self.garment_margin
 
 
 # Garments of other people lie less close to the body: the margins that were published for try-on.
@@ -136,9 +137,9 @@ def enclosed(shown: Mask | NDArray[np.uint8], rim: int) -> Mask:
 
 def _pairs(layers: tuple[str, ...]) -> list[tuple[int, int]]:
     """(inner, outer) indices in the order of the pass."""
-    garments = [index for index, name in enumerate(layers) if name != "body"]
+    garments = [index for index, name in enumerate(layers) if name != BODY]
     pairs = [(inner, outer) for outer in garments for inner in garments if inner < outer]
-    return pairs + [(layers.index("body"), outer) for outer in garments if "body" in layers]
+    return pairs + [(layers.index(BODY), outer) for outer in garments if BODY in layers]
 
 
 def _no_counts(layers: tuple[str, ...]) -> dict[str, int]:

@@ -15,6 +15,7 @@ from stages.shared.avatar.motion import recent_motions
 from stages.shared.avatar.pose import FramePose, frame_pose
 from stages.shared.avatar.posing import PosedBuffers, PosedLayer, Replacement
 from stages.shared.body import Poses
+from stages.shared.layers import BODY
 from stages.shared.outfit.outfit import Outfit
 
 _MOMENTS = 64  # bones of so many rows are posed together; one at a time costs as much as a layer
@@ -52,7 +53,7 @@ class Player:
             if twin is not None
             else [
                 PosedLayer(layer.model, betas, changes, None if hidden is None else ~hidden)
-                if layer.name == "body"
+                if layer.name == BODY
                 else PosedLayer(layer.model, betas)
                 for layer in outfit.layers
             ]

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from stages.shared.capture.images import read_image, read_mask
-from stages.shared.capture.labels import LABEL_COLORS, LABELS, label_picture, read_labels
+from stages.shared.capture.labels import label_picture, read_labels
 from stages.shared.errors import BadData, GwError
+from stages.shared.layers import LABEL_COLORS, LABELS
 
 PIL = pytest.importorskip("PIL.Image", reason="palette images are written with Pillow")
 IDS = np.array([[0, 1, 2, 3], [4, 5, 255, 3]], np.uint8)

@@ -10,7 +10,7 @@ import torch
 
 from stages.shared.avatar.compose import Composite
 from stages.shared.capture import Camera
-from stages.shared.capture.labels import NO_LABEL
+from stages.shared.layers import NO_LABEL
 from stages.shared.outfit.penetration import TRYON_MARGINS, PenetrationConfig
 from stages.shared.outfit.picture import CutOffs, Shot, take_picture
 from stages.shared.outfit.viewpoints import looking_camera

@@ -15,7 +15,7 @@ from gw_cli.app import app
 from stages.evaluate.vertices import posing_of
 from stages.pipeline import BAKE_MAPS, REGISTER_TEMPLATE, TRAIN
 from stages.shared.artifacts import Workspace
-from stages.shared.capture.labels import LAYERS
+from stages.shared.layers import LAYERS
 from stages.shared.outfit.outfit import Outfit, outfit_of_training
 from tests.shared.outfit.wardrobe import FRAMES, motion, outfit, tube_mesh
 

@@ -8,7 +8,8 @@ import pytest
 from stages.segment_layers.beneath import faces_beneath
 from stages.segment_layers.config import SegmentLayersConfig
 from stages.segment_layers.extract import extract_part
-from stages.segment_layers.layers import GARMENT_LABELS, OUTER, UPPER, Template, garment_layer, slots_of
+from stages.segment_layers.layers import OUTER, UPPER, Template, garment_layer, slots_of
+from stages.shared.layers import GARMENT_LABELS
 
 PITCH = 0.01
 

@@ -14,9 +14,10 @@ from typer.testing import CliRunner
 from gw_cli.app import app
 from stages.shared.artifacts import files
 from stages.shared.body import embedded_body, posed_vertices
-from stages.shared.capture import NO_LABEL, Take, open_capture
+from stages.shared.capture import Take, open_capture
 from stages.shared.capture.true_meshes import true_meshes_of
 from stages.shared.errors import StorageFailure
+from stages.shared.layers import NO_LABEL
 from stages.shared.poses import load_poses
 from stages.synth import stage
 from stages.synth.config import PRESETS, SynthConfig

@@ -16,8 +16,8 @@ from gw_cli.app import app
 from stages.pipeline import BAKE_MAPS, REGISTER_TEMPLATE, TRAIN
 from stages.shared.artifacts import Workspace
 from stages.shared.avatar.maps import LayerMaps
-from stages.shared.capture import LAYERS
 from stages.shared.errors import MissingInput, UsageProblem
+from stages.shared.layers import LAYERS
 from stages.shared.outfit.outfit import outfit_of_training
 from stages.train import stage
 from stages.train.ablation import PARTS, ablated

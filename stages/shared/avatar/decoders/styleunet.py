@@ -25,6 +25,7 @@ from stages.shared.avatar.decoders.positional_maps import CosineMaps, Positional
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.avatar.motion import motion_length, motion_scale
 from stages.shared.errors import UsageProblem
+from stages.shared.layers import BODY
 from stages.shared.nets.styleunet import StyleUNet, ViewNet
 
 _USUAL_DEPARTURE = 0.05  # m, between poses, where the input is not normalised
@@ -77,7 +78,7 @@ class StyleUNetDecoder(Decoder):
         self.register_buffer("input_mean", torch.zeros(1, self.positional.channels, grid.height, grid.width))
         self.register_buffer("input_scale", torch.ones(1))
         self.anchors = None
-        if config.anchors > 0 and maps.layer != "body":
+        if config.anchors > 0 and maps.layer != BODY:
             size = styleunet_cost.key_pose_map(grid, config)
             described = self.positional.channels * len(self.positional.used) + 9 * _BODY_JOINTS
             described += motion_length(config.history)

@@ -12,6 +12,7 @@ from stages.shared.avatar.decoders.base import DecoderCost
 from stages.shared.avatar.decoders.positional_maps import NetworkGrid, network_grid
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.avatar.motion import motion_length
+from stages.shared.layers import BODY
 from stages.shared.nets.styleunet import StyleUNet, ViewNet
 
 _FLOAT = 4
@@ -32,7 +33,7 @@ def cost(maps: LayerMaps, config: ModelConfig) -> DecoderCost:
     outputs = config.networks_of(maps.layer)
     base = _BASE_CHANNELS * len(maps) if config.base else 0
     height, width = key_pose_map(grid, config)
-    key_poses = 6 * config.anchors * height * width if maps.layer != "body" else 0
+    key_poses = 6 * config.anchors * height * width if maps.layer != BODY else 0
     work = sum(sizes) * grid.height * grid.width * _SECONDS_PER_WEIGHT_PIXEL
     widest = grid.height * grid.width * 64 * config.width
     activations = widest * (_ACTIVATIONS + _ACTIVATIONS_OVER_WIDTH / config.width)
@@ -49,7 +50,7 @@ def cost(maps: LayerMaps, config: ModelConfig) -> DecoderCost:
 
 def multiply_adds(maps: LayerMaps, config: ModelConfig, joints: int) -> dict[str, int]:
     """As `Decoder.multiply_adds`: networks are counted from their graph, the rest from sizes."""
-    outputs, has_key_poses = config.networks_of(maps.layer), config.anchors > 0 and maps.layer != "body"
+    outputs, has_key_poses = config.networks_of(maps.layer), config.anchors > 0 and maps.layer != BODY
     if not outputs and not has_key_poses:
         return {}
     grid, channels = _grid(maps, config), _channels(config)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import importlib
 import os
-from importlib import metadata
 from typing import Annotated
 
 import typer
@@ -48,6 +47,8 @@ COMMANDS: tuple[str, ...] = (
 
 def _show_version(wanted: bool) -> None:
     if wanted:
+        from importlib import metadata
+
         try:
             typer.echo(metadata.version("gaussian-wardrobe"))
         except metadata.PackageNotFoundError:

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from gw_cli.console import Console, command
+from gw_cli.inputs import check_inputs_of
 from gw_cli.options import DryRun, Force, Json, Preset, Subject, preset_config
 from stages.shared.errors import UsageProblem
 
@@ -39,7 +40,6 @@ def register(app: typer.Typer) -> None:
         All layers and subjects share one grid, so the same texel is the same place on everybody.
         Layers whose two views leave more than 1 % unseen get further sheets for what lies behind.
         """
-        from stages.bake_maps import stage
         from stages.bake_maps.config import PRESETS
 
         console = Console(as_json)
@@ -50,6 +50,10 @@ def register(app: typer.Typer) -> None:
             config = replace(config, extent_m=_within("--extent", extent, 0.5, 10.0))
         if sheets is not None:
             config = replace(config, most_sheets=sheets)
+        check_inputs_of("bake-maps", subject)
+
+        from stages.bake_maps import stage
+
         if dry_run:
             console.plan(stage.plan(subject, config))
             return

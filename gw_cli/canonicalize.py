@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from gw_cli.console import Console, command
+from gw_cli.inputs import check_inputs_of
 from gw_cli.options import DryRun, Force, Json, Preset, one_of, preset_config
 from stages.shared.errors import UsageProblem
 from stages.shared.plan import Plan
@@ -57,7 +58,6 @@ def register(app: typer.Typer) -> None:
         Every vertex keeps the skinning weights that pose it back exactly. A lone mesh is registered first:
         with --params the body fit is given, without it the body is fitted to the mesh.
         """
-        from stages.canonicalize import stage
         from stages.canonicalize.config import PRESETS, SHAPE_REMOVALS, SPREADS
 
         console = Console(as_json)
@@ -78,6 +78,11 @@ def register(app: typer.Typer) -> None:
                 str(given),
                 "Leave them out: a workspace has its own; gw register-template sets them.",
             )
+        if not given.is_file():
+            check_inputs_of("canonicalize", subject)
+
+        from stages.canonicalize import stage
+
         if dry_run:
             console.plan(stage.plan(subject, config))
             return

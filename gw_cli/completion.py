@@ -14,6 +14,7 @@ from typing import Any
 from stages.shared.layers import LAYERS, in_order
 
 PRESETS = ("tiny", "draft", "balanced", "paper")
+DEVICES = ("auto", "cpu", "cuda")
 _MOST_FOLDERS = 200
 
 
@@ -24,7 +25,7 @@ def presets(incomplete: str) -> list[str]:
 
 def devices(incomplete: str) -> list[str]:
     """Kinds of device."""
-    return [name for name in ("auto", "cpu", "cuda") if name.startswith(incomplete)]
+    return [name for name in DEVICES if name.startswith(incomplete)]
 
 
 def subjects(incomplete: str) -> list[str]:

@@ -169,6 +169,9 @@ class CommandTable(TyperGroup):
             status = call()
         except _UsageError as error:
             status = _say_misuse(error)
+        except GwError as error:  # from the check of an option
+            _print_three_lines(error)
+            status = error.exit_code
         sys.exit(status if isinstance(status, int) else 0)
 
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from gw_cli.console import Console, command
-from gw_cli.options import Device, DryRun, Json, Preset, Seed, preset_config
+from gw_cli.options import Device, DryRun, Json, Preset, Seed
 
 
 def register(app: typer.Typer) -> None:
@@ -33,15 +33,15 @@ def register(app: typer.Typer) -> None:
         `index.html` in the output folder with its pictures, scores and timings. Steps that are done
         are not run again.
         """
-        from stages.demo import stage
         from stages.demo.config import DemoConfig
         from stages.shared.device import check_device
-        from stages.synth.config import PRESETS
 
         console = Console(as_json)
-        preset_config(PRESETS, preset)
         check_device(device)
         config = DemoConfig(preset=preset, seed=seed, train_minutes=minutes, device=device)
+
+        from stages.demo import stage
+
         if dry_run:
             console.plan(stage.plan(output, config))
             return

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from gw_cli.console import Console, command
+from gw_cli.inputs import check_inputs_of, check_poses
 from gw_cli.options import DryRun, Force, Json, Preset, Subject, parse_ranks, preset_config
 
 
@@ -35,13 +36,17 @@ def register(app: typer.Typer) -> None:
         on the pose, take over what they answered. `gw render` and `gw export-garment` use the result with
         `--distilled`, `gw evaluate` with `--methods distilled`; bundles made so are worn like any other.
         """
-        from stages.distill import stage
         from stages.distill.config import PRESETS
 
         console = Console(as_json)
         config = preset_config(PRESETS, preset)
         if ranks:
             config = replace(config, most=parse_ranks(ranks))
+        check_inputs_of("distill", subject)
+        check_poses(poses or ())
+
+        from stages.distill import stage
+
         if dry_run:
             console.plan(stage.plan(subject, config, poses or ()))
             return

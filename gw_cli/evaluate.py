@@ -11,6 +11,7 @@ import typer
 
 from gw_cli.completion import subjects, trainings
 from gw_cli.console import Console, command
+from gw_cli.inputs import check_exists, check_stages
 from gw_cli.options import DryRun, Json, Preset, Shard, names, preset_config, without_shard
 from stages.shared.errors import UsageProblem
 
@@ -125,6 +126,8 @@ def register(app: typer.Typer) -> None:
                 "SUBJECT, --frames, --images, --truth, --masks",
                 "Give a subject, or --frames DIR --truth CAPTURE, or --images DIR --truth DIR [--masks DIR].",
             )
+        for source in (frames, images, truth, masks):
+            check_exists(source, "folder")
         if images is not None and truth is not None:
             _images_against_truth(console, images, truth, masks, output, config, dry_run, perceptual_weights)
             return
@@ -132,6 +135,7 @@ def register(app: typer.Typer) -> None:
             _frames_against_truth(console, frames, truth, output, config, dry_run, perceptual_weights)
             return
         assert subject is not None
+        check_stages(subject, "train")
         from stages.evaluate import stage
 
         if dry_run:

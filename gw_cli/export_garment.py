@@ -10,6 +10,7 @@ import typer
 
 from gw_cli.completion import layers
 from gw_cli.console import Console, command
+from gw_cli.inputs import check_poses, check_stages
 from gw_cli.options import Distilled, DryRun, Json, Preset, Subject, names, preset_config
 from stages.shared.layers import BODY
 
@@ -64,7 +65,6 @@ def register(app: typer.Typer) -> None:
         The mesh opens in Blender and in engines: 55 joints with the names of SMPL-X, 8 weights per vertex,
         vertex colours. Splat files of a bundle come from `gw render --poses canonical --export ply`.
         """
-        from stages.export_garment import stage, template_mesh
         from stages.export_garment.config import PRESETS, TemplateMeshConfig
         from stages.shared.errors import UsageProblem
 
@@ -75,6 +75,12 @@ def register(app: typer.Typer) -> None:
                 "option --poses",
                 "Leave it out, or add --mesh FILE.glb.",
             )
+        learned = "distill" if distilled else "train"
+        check_stages(subject, learned if mesh is None or output is not None else "segment-layers")
+        check_poses([poses])
+
+        from stages.export_garment import stage, template_mesh
+
         if mesh is not None:
             shape = TemplateMeshConfig(layer, own_shape)
             if dry_run:

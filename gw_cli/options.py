@@ -24,14 +24,31 @@ Json = Annotated[bool, typer.Option("--json", help="One JSON object a line on st
 DryRun = Annotated[
     bool, typer.Option("--dry-run", help="Show inputs, outputs, configuration and cost; write nothing.")
 ]
+
+
+def known_preset(name: str | None) -> str | None:
+    """The name of a preset as it is, or a usage error that lists the presets."""
+    return name if name is None else one_of("--preset", name, completion.PRESETS, "preset")
+
+
+def _known_device(name: str) -> str:
+    """The name of a kind of device as it is, or a usage error."""
+    return one_of("--device", name, completion.DEVICES, "device")
+
+
 Preset = Annotated[
     str,
     typer.Option(
-        help="tiny | draft | balanced | paper: how much to spend.", autocompletion=completion.presets
+        help="tiny | draft | balanced | paper: how much to spend.",
+        autocompletion=completion.presets,
+        callback=known_preset,
     ),
 ]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of everything random.")]
-Device = Annotated[str, typer.Option(help="auto | cpu | cuda.", autocompletion=completion.devices)]
+Device = Annotated[
+    str,
+    typer.Option(help="auto | cpu | cuda.", autocompletion=completion.devices, callback=_known_device),
+]
 Recompute = Annotated[
     bool,
     typer.Option(

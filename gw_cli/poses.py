@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from gw_cli.console import Console, command
+from gw_cli.inputs import check_poses
 from gw_cli.options import DryRun, Json
 
 
@@ -50,6 +51,8 @@ def register(app: typer.Typer) -> None:
 
         Example: gw poses walk_poses.npz -o walk.npz --fps 30 --correct-amass
         """
+        check_poses([source])
+
         from stages.shared.body import embedded_body
         from stages.shared.body.load import load_body
         from stages.shared.outfit.sources import parse_frames

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from gw_cli.console import Console, command
+from gw_cli.inputs import check_exists
 from gw_cli.options import DryRun, Force, Json, Preset, preset_config
 
 
@@ -64,7 +65,6 @@ def register(app: typer.Typer) -> None:
         finds them: gw register-template CAPTURE -o SUBJECT --fit. A lone mesh is cleaned (unit, up axis,
         faces inside out, doubled vertices), and the body is fitted into it.
         """
-        from stages.register_template import stage
         from stages.register_template.config import PRESETS
         from stages.shared.errors import UsageProblem
 
@@ -82,6 +82,10 @@ def register(app: typer.Typer) -> None:
             poses=poses,
             virtual_cameras=virtual_cameras,
         )
+        check_exists(given, "capture or mesh")
+
+        from stages.register_template import stage
+
         if dry_run:
             console.plan(
                 stage.plan(given, subject, config, body_model, params, capture_format, fit_body_model)

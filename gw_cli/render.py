@@ -11,6 +11,7 @@ import typer
 
 from gw_cli.completion import artifacts
 from gw_cli.console import Console, command
+from gw_cli.inputs import check_exists, check_poses, check_sources
 from gw_cli.options import (
     AlphaMin,
     Background,
@@ -124,7 +125,6 @@ def register(app: typer.Typer) -> None:
         command with --shard 1/4 to --shard 4/4 into the same -o, and then once without --shard, which puts
         the parts together (and renders what is missing).
         """
-        from stages.render import page, stage
         from stages.shared.render_sequence.config import PRESETS
 
         console = Console(as_json)
@@ -156,8 +156,14 @@ def register(app: typer.Typer) -> None:
             alpha_min=alpha_min,
             transmittance_min=transmittance_min,
         )
+        check_sources(sources)
+        check_poses([poses])
+        check_exists(cameras)
         if html is not None:
             check_file_target(html, "--html a.html")
+
+        from stages.render import page, stage
+
         if html is not None and output is None:
             if shard:
                 raise UsageProblem(

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from gw_cli.console import Console, command
+from gw_cli.inputs import check_inputs_of
 from gw_cli.options import DryRun, Force, Json, Preset, Subject, one_of, preset_config
 
 _LABELS = ("auto", "images", "scan")
@@ -31,11 +32,14 @@ def register(app: typer.Typer) -> None:
         Labels come from the label images of the template's frame (every camera votes where it sees the
         surface) or from the scan. The body is the whole body model, with the hair and shoes of the template.
         """
-        from stages.segment_layers import stage
         from stages.segment_layers.config import PRESETS
 
         console = Console(as_json)
         config = replace(preset_config(PRESETS, preset), labels=one_of("--labels", labels, _LABELS))
+        check_inputs_of("segment-layers", subject)
+
+        from stages.segment_layers import stage
+
         if dry_run:
             console.plan(stage.plan(subject, config))
             return

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gw_cli.console import Console, command
-from gw_cli.options import Json, Subject, preset_config
+from gw_cli.options import Json, Subject, known_preset, preset_config
 
 if TYPE_CHECKING:
     from stages.shared.artifacts.workspace import Workspace
@@ -22,7 +22,10 @@ def register(app: typer.Typer) -> None:
     def status(
         subject: Subject,
         preset: Annotated[
-            str | None, typer.Option(help="Compare with this preset too: tiny | draft | balanced | paper.")
+            str | None,
+            typer.Option(
+                help="Compare with this preset too: tiny | draft | balanced | paper.", callback=known_preset
+            ),
         ] = None,
         as_json: Json = False,
     ) -> None:

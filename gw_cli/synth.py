@@ -30,11 +30,13 @@ def register(app: typer.Typer) -> None:
         OUT/motions/held_out.npz its motion. Garments are simulated cloth; the same seed gives the same
         files.
         """
-        from stages.synth import stage
         from stages.synth.config import PRESETS
 
         console = Console(as_json)
         config = dataclasses.replace(preset_config(PRESETS, preset), seed=seed)
+
+        from stages.synth import stage
+
         if dry_run:
             console.plan(stage.plan(output, config))
             return

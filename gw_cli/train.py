@@ -10,6 +10,7 @@ import typer
 
 from gw_cli import completion
 from gw_cli.console import Console, command
+from gw_cli.inputs import check_exists, check_inputs_of, check_stages
 from gw_cli.options import (
     Device,
     DryRun,
@@ -163,10 +164,7 @@ def register(app: typer.Typer) -> None:
         On several processes, also of several machines: torchrun --nproc-per-node 2 -m gw_cli train SUBJECT …
         Each draws --views-per-step cameras of the same frame.
         """
-        from stages.shared.report import SILENT
-        from stages.train import stage
         from stages.train.config import METHODS, PRESETS
-        from stages.train.distributed import joined
 
         console = Console(as_json)
         chosen: dict[str, Any] = {
@@ -201,6 +199,15 @@ def register(app: typer.Typer) -> None:
                 "option --from-layers",
                 "Give --from-subject.",
             )
+        check_inputs_of("train", subject)
+        check_exists(perceptual_weights, "file of weights")
+        if from_subject is not None:
+            check_stages(from_subject, "train")
+
+        from stages.shared.report import SILENT
+        from stages.train import stage
+        from stages.train.distributed import joined
+
         if dry_run:
             console.plan(stage.plan(subject, config, perceptual_weights, from_subject))
             return

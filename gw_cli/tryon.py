@@ -12,6 +12,7 @@ import typer
 
 from gw_cli import completion
 from gw_cli.console import Console, command
+from gw_cli.inputs import check_bundles, check_poses
 from gw_cli.options import (
     AlphaMin,
     Background,
@@ -121,7 +122,6 @@ def register(app: typer.Typer) -> None:
         --shard 4/4 into the same -o, and then once without --shard, which puts the parts together.
         """
         from stages.shared.render_sequence.config import PRESETS
-        from stages.tryon import stage
 
         console = Console(as_json)
         chosen: dict[str, Any] = {}
@@ -154,6 +154,11 @@ def register(app: typer.Typer) -> None:
         )
         if save_outfit is not None:
             check_file_target(save_outfit, "--save-outfit outfit.json")
+        check_poses([poses])
+        check_bundles(bundles)
+
+        from stages.tryon import stage
+
         if dry_run:
             console.plan(stage.plan(bundles, poses, output, config))
             return

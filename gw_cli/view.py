@@ -9,6 +9,7 @@ import typer
 
 from gw_cli.completion import artifacts
 from gw_cli.console import Console, command
+from gw_cli.inputs import check_poses, check_sources
 from gw_cli.options import Betas, Distilled, DryRun, FrameRate, Json, Swap
 
 
@@ -64,12 +65,16 @@ def register(app: typer.Typer) -> None:
         """
         import webbrowser
 
-        from stages.view import stage
         from stages.view.config import ViewConfig
 
         console = Console(as_json)
         config = ViewConfig(host, port, betas, fps, swap, distilled)
         given, motions = list(sources or []), list(poses or [])
+        check_sources(given)
+        check_poses(motions)
+
+        from stages.view import stage
+
         if dry_run:
             console.plan(stage.plan(given, wardrobe, motions, config))
             return

@@ -9,6 +9,7 @@ import typer
 
 from gw_cli import completion
 from gw_cli.console import Console, command
+from gw_cli.inputs import check_poses
 from gw_cli.options import Json, Pixels
 
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The wardrobe: a folder of .gwg files.")]
@@ -122,11 +123,16 @@ def _outfits(group: typer.Typer) -> None:
         as_json: Json = False,
     ) -> None:
         """Render every body in every set of garments that go together, on one sheet, and look for holes."""
-        from stages.wardrobe import stage
+        from stages.shared.outfit.wardrobe import pieces
         from stages.wardrobe.config import OutfitsConfig
 
         console = Console(as_json)
         base = OutfitsConfig()
         config = OutfitsConfig(frame, width or base.width, height or base.height, most=most)
+        pieces(folder)  # refuses a missing folder
+        check_poses([poses])
+
+        from stages.wardrobe import stage
+
         result = stage.run(folder, output, poses, config, console)
         console.result({"path": result.path, **result.summary})

@@ -10,7 +10,8 @@ import typer
 
 from gw_cli.completion import PRESETS
 from gw_cli.console import Console, command
-from gw_cli.options import DryRun, Json, Preset, Seed, names, preset_config
+from gw_cli.inputs import check_exists
+from gw_cli.options import DryRun, Json, Preset, Seed, names
 from stages.shared.errors import UsageProblem
 
 if TYPE_CHECKING:
@@ -58,9 +59,7 @@ def register(bench: typer.Typer) -> None:
         blendshapes are then played, scored and weighed. `gw tryon --tradeoff FOLDER --fps 25` or
         `--quality 0.3` choose among the points.
         """
-        from stages.bench_tradeoff import stage
         from stages.bench_tradeoff.config import TRAINED_BLENDSHAPES, BenchTradeoffConfig
-        from stages.train.config import PRESETS
 
         console = Console(as_json)
         config = BenchTradeoffConfig(minutes=minutes, preset=preset, size=size, seed=seed)
@@ -70,7 +69,11 @@ def register(bench: typer.Typer) -> None:
             config = replace(config, decoders=(*config.decoders, TRAINED_BLENDSHAPES))
         if also:
             config = replace(config, also=_trainings(also))
-        preset_config(PRESETS, preset)
+        check_exists(capture)
+        check_exists(body_model, "body model")
+
+        from stages.bench_tradeoff import stage
+
         if dry_run:
             console.plan(stage.plan(capture, output, config, body_model))
             return

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import roma
 import torch
 from torch import Tensor
 
@@ -61,6 +60,8 @@ def sample_poses(body: BodyModel, training: Poses, extra: Sequence[Poses], confi
 
 def blend_rotations(one: Tensor, other: Tensor, share: float) -> Tensor:
     """(55, 3) axis-angle `share` of the way from `one` to `other` along each joint's shortest arc."""
+    import roma  # loads the whole of torch._dynamo: two seconds
+
     start, end = roma.rotvec_to_unitquat(one), roma.rotvec_to_unitquat(other)
     steps = torch.tensor([share], dtype=one.dtype)
     return roma.unitquat_to_rotvec(roma.unitquat_slerp(start, end, steps, shortest_arc=True)[0])

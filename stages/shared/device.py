@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import torch
-
 from stages.shared.errors import UsageProblem
 
 DEVICES = ("auto", "cpu", "cuda")
@@ -13,5 +11,9 @@ def check_device(name: str) -> None:
     """Raise UsageProblem for another name than those of `DEVICES`, and for CUDA where there is none."""
     if name not in DEVICES:
         raise UsageProblem(f"There is no device {name!r}.", "option --device", "Choose auto, cpu or cuda.")
-    if name == "cuda" and not torch.cuda.is_available():
+    if name != "cuda":
+        return
+    import torch
+
+    if not torch.cuda.is_available():
         raise UsageProblem("No CUDA device was found.", "option --device", "Use --device cpu.")

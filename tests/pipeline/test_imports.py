@@ -14,7 +14,7 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 SOURCES = sorted(path for package in ("gw_cli", "stages") for path in (REPOSITORY / package).rglob("*.py"))
 QUARANTINE = "stages.shared.capture.quarantine"  # its child process admits plain arrays and containers only
 HEAVY = {"torch", "open3d", "pymeshlab", "igl", "cv2", "numba", "scipy", "trimesh", "gsplat", "av", "anny"}
-HELP_MODULES = 470  # `gw --help` loads 414: Python, typer, rich and the modules of the commands
+HELP_MODULES = 430  # `gw --help` loads 380: Python, typer, rich and the modules of the commands
 ONE_DOOR = ("open3d", "pymeshlab", "gsplat")
 
 
@@ -243,6 +243,47 @@ def test_help_loads_nothing_heavy() -> None:
     assert "status" in text and "verify" in text
     assert not {name.split(".")[0] for name in modules} & (HEAVY | {"numpy"})
     assert len(modules) < HELP_MODULES
+
+
+MISTYPED = (
+    "--nonsense",
+    "trian",
+    "train NONE --nonsense",
+    "train NONE --preset wrong",
+    "train NONE --device gpu",
+    "register-template NONE -o OUT",
+    "canonicalize NONE",
+    "segment-layers NONE",
+    "bake-maps NONE",
+    "train NONE",
+    "distill NONE",
+    "export-garment NONE --layer upper",
+    "tryon NONE.gwg --poses NONE.npz",
+    "render NONE",
+    "view NONE",
+    "evaluate NONE",
+    "evaluate --frames NONE --truth NONE",
+    "wardrobe outfits NONE",
+    "poses NONE -o OUT.npz",
+    "demo --preset wrong",
+    "synth OUT --preset wrong",
+    "bench tradeoff NONE",
+    "status NONE",
+    "verify NONE",
+    "inspect NONE.gwg",
+)
+
+
+def test_a_mistyped_command_is_answered_without_heavy_libraries() -> None:
+    code = (
+        "import sys\nfrom typer.testing import CliRunner\nfrom gw_cli.app import app\n"
+        f"for line in {MISTYPED!r}:\n"
+        "    done = CliRunner().invoke(app, line.split())\n"
+        "    assert done.exit_code in (2, 66) and 'fix:' in done.output, (line, done.output)\n"
+        f"    heavy = sorted(set(sys.modules) & {HEAVY - {'gsplat'}!r})\n"
+        "    assert not heavy, (line, heavy)\n"
+    )
+    run_python(code)
 
 
 def test_the_store_and_the_table_of_stages_load_no_torch() -> None:

@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import roma
 import torch
 from torch import Tensor
 
@@ -47,6 +46,8 @@ def recent_motions(poses: Poses, frames: range, memories: int) -> Tensor:
     """(R, 3 + 69 K) `recent_motion` of rows one after the other, at little more than the cost of one."""
     if not memories or not len(frames):
         return torch.zeros(len(frames), 0)
+    import roma  # loads the whole of torch._dynamo: two seconds
+
     reach = math.ceil(_REMEMBERED * time_constant(memories - 1) * poses.fps)
     first, end = max(0, frames[0] - reach), frames[-1] + 1
     turned = roma.rotvec_to_rotmat(torch.from_numpy(poses.rotations[first:end, :_JOINTS]).double())

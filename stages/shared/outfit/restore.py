@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import roma
 import torch
 from numpy.typing import NDArray
 from scipy import sparse
@@ -124,6 +123,8 @@ def _discs(maps: LayerMaps) -> tuple[Tensor, Tensor, Tensor]:
     Texels stand a pitch apart on the map, hence farther apart down a slope of the surface: a disc is as wide
     and as long as its neighbours are far that way.
     """
+    import roma  # loads the whole of torch._dynamo: two seconds
+
     normals = functional.normalize(maps.normals, dim=1)
     down = normals.new_tensor([0.0, 0.0, 1.0]) - normals[:, 2:] * normals
     flat = down.norm(dim=1, keepdim=True) < 1e-3  # facing front or back: any direction will do

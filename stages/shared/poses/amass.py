@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import roma
 import torch
 from numpy.typing import NDArray
 
@@ -78,6 +77,8 @@ def read_pose_vectors(file: NumericNpz, body: BodyModel | None = None, z_up: boo
 
 def y_up_roots(rotations: NDArray[np.float64]) -> NDArray[np.float64]:
     """The rotations (T, 55, 3) with the root turned from a z-up to a y-up world."""
+    import roma  # loads the whole of torch._dynamo: two seconds
+
     turned = torch.from_numpy(Y_UP_FROM_Z_UP) @ roma.rotvec_to_rotmat(torch.from_numpy(rotations[:, 0]))
     result = rotations.copy()
     result[:, 0] = roma.rotmat_to_rotvec(turned).numpy()

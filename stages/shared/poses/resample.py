@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import roma
 import torch
 
 from stages.shared.body.poses import Poses
@@ -30,6 +29,8 @@ def resample(poses: Poses, fps: float) -> Poses:
         )
     if abs(fps - poses.fps) < 1e-6 * fps or len(poses) == 1:
         return poses if len(poses) > 1 else Poses(*_parts(poses), fps)
+    import roma  # loads the whole of torch._dynamo: two seconds
+
     step = poses.fps / fps
     count = int(np.floor((len(poses) - 1) / step + 1e-6)) + 1
     times = np.minimum(np.arange(count) * step, len(poses) - 1)

@@ -1,0 +1,59 @@
+"""Inputs that a command line names, checked before anything heavy is loaded.
+
+The stages check them again, and more closely. These checks let a mistyped path be answered without torch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from stages.shared.errors import MissingInput
+
+CANONICAL = "canonical"
+
+
+def check_stages(subject: Path, *names: str) -> None:
+    """Raise what a stage raises when the artifacts of the stages `names` are missing or damaged."""
+    from stages.pipeline import BY_NAME
+    from stages.shared.artifacts.workspace import Workspace
+
+    workspace = Workspace(subject)
+    for name in names:
+        workspace.require(BY_NAME[name])
+
+
+def check_inputs_of(stage: str, subject: Path) -> None:
+    """Raise when a stage that `stage` reads from has not been run for this subject."""
+    from stages.pipeline import BY_NAME
+
+    check_stages(subject, *BY_NAME[stage].reads)
+
+
+def check_bundles(paths: Iterable[Path]) -> None:
+    """Raise when a bundle is missing or its header cannot be read."""
+    from stages.shared.artifacts.bundle import read_card
+
+    for path in paths:
+        read_card(path)
+
+
+def check_sources(sources: list[Path]) -> None:
+    """Raise when bundles are missing, or the one folder among them is not a trained subject."""
+    if len(sources) == 1 and sources[0].is_dir():
+        check_stages(sources[0], "train")
+    else:
+        check_bundles(path for path in sources if not path.is_dir())
+
+
+def check_poses(paths: Iterable[Path | None]) -> None:
+    """Raise when a pose file is missing. None and `canonical` are not files."""
+    for path in paths:
+        if path is not None and str(path) != CANONICAL and not path.is_file():
+            raise MissingInput("There is no pose file.", str(path), "Check the path.")
+
+
+def check_exists(path: Path | None, what: str = "capture") -> None:
+    """Raise when a path that was given does not exist; `what` names it in the message."""
+    if path is not None and not path.exists():
+        raise MissingInput(f"There is no such {what}.", str(path), "Check the path.")

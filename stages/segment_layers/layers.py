@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 from stages.segment_layers.beneath import faces_beneath
 from stages.segment_layers.config import SegmentLayersConfig
 from stages.segment_layers.extract import LayerPart, extract_part, join, sink
+from stages.segment_layers.hidden_cloth import BodySurface, lower_onto_body
 from stages.segment_layers.orientation import outward_faces
 from stages.segment_layers.regions import face_labels
 from stages.shared.body.model import BodyModel
@@ -25,6 +26,7 @@ from stages.shared.layers import (
     garments_of,
     label_of,
 )
+from stages.shared.meshes import keep_faces
 from stages.shared.meshes.topology import vertex_normals
 
 UPPER, OUTER = label_of("upper"), label_of("outer")
@@ -77,11 +79,11 @@ class Template:
 
 
 def garment_layer(
-    template: Template, labels: np.ndarray, label: int, config: SegmentLayersConfig
+    template: Template, labels: np.ndarray, label: int, config: SegmentLayersConfig, body: BodySurface
 ) -> dict[str, np.ndarray]:
-    """Mesh of one garment, its border tucked under the garments beside it; empty when it is not there.
+    """Mesh of one garment, its border tucked under its neighbours; empty when it is not there.
 
-    Beneath garments that lie over it, it goes on farther (`faces_beneath`).
+    It continues under garments that lie over it (`faces_beneath`), lowered onto the body.
     """
     by_face = face_labels(labels, template.faces, OUTERMOST_FIRST)
     own = by_face == label
@@ -92,7 +94,35 @@ def garment_layer(
         outer = by_face == OUTER
         beneath |= faces_beneath(template.world, template.faces, own, outer, config.beneath_outer_m)
     part = extract_part(template.faces, own, under, config.extended_rings, len(labels), beneath)
-    return _part_mesh(template, part, label, config.ring_depth_m)
+    mesh = _part_mesh(template, part, label, config.ring_depth_m)
+    return _lowered(mesh, body) if len(part.faces) else mesh
+
+
+def _lowered(mesh: dict[str, np.ndarray], body: BodySurface) -> dict[str, np.ndarray]:
+    """A garment mesh with its hidden part on the body; faces of folded flaps are left out."""
+    cloth = lower_onto_body(
+        mesh["world_vertices"].astype(np.float64), mesh, mesh["faces"], mesh["ring"] > 0, body
+    )
+    lowered = {
+        **mesh,
+        "vertices": cloth.canonical.astype(np.float32),
+        "skin_weights": cloth.skin_weights.astype(np.float32),
+        "shape_directions": cloth.shape_directions.astype(np.float32),
+        "world_vertices": cloth.world.astype(np.float32),
+    }
+    faces, used = keep_faces(mesh["faces"], ~cloth.folded, len(mesh["vertices"]))
+    return {name: faces if name == "faces" else values[used] for name, values in lowered.items()}
+
+
+def body_surface(canonical_body: dict[str, np.ndarray], body: BodyModel, pose: Poses) -> BodySurface:
+    """The body of the template's frame, in the world and in canonical space."""
+    return BodySurface(
+        posed_body(body, pose),
+        canonical_body["vertices"],
+        canonical_body["faces"],
+        canonical_body["skin_weights"],
+        canonical_body["shape_directions"],
+    )
 
 
 def body_layer(

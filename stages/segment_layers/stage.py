@@ -27,7 +27,7 @@ from stages.segment_layers.config import SegmentLayersConfig
 from stages.segment_layers.extract import join
 from stages.segment_layers.fill import fill_colors
 from stages.segment_layers.labelling import known_labels, label_vertices, tidy_labels
-from stages.segment_layers.layers import Template, body_layer, garment_layer, slots_of
+from stages.segment_layers.layers import Template, body_layer, body_surface, garment_layer, slots_of
 from stages.segment_layers.regions import vertex_areas
 from stages.shared.artifacts import Artifact, ExternalFiles, Workspace
 from stages.shared.artifacts.result import StageResult
@@ -91,8 +91,12 @@ def run(
         labels, source = choose_labels(template, take, frame, config)
 
         report.step("cutting out the layers")
-        garments = {LABELS[label]: garment_layer(template, labels, label, config) for label in GARMENT_LABELS}
-        layers = {BODY: body_layer(template, labels, canonical.arrays("body"), body, pose)}
+        canonical_body = canonical.arrays("body")
+        surface = body_surface(canonical_body, body, pose)
+        garments = {
+            LABELS[label]: garment_layer(template, labels, label, config, surface) for label in GARMENT_LABELS
+        }
+        layers = {BODY: body_layer(template, labels, canonical_body, body, pose)}
         layers |= {name: mesh for name, mesh in garments.items() if len(mesh["faces"])}
 
         report.step("projecting colours")

@@ -8,6 +8,7 @@ import pytest
 from stages.segment_layers.beneath import faces_beneath
 from stages.segment_layers.config import SegmentLayersConfig
 from stages.segment_layers.extract import extract_part
+from stages.segment_layers.hidden_cloth import BodySurface
 from stages.segment_layers.layers import OUTER, UPPER, Template, garment_layer, slots_of
 from stages.shared.layers import GARMENT_LABELS
 
@@ -71,12 +72,21 @@ def _template(vertices: np.ndarray, faces: np.ndarray) -> Template:
     return Template(vertices, faces, normals, canonical, normals, None, None)
 
 
+def _flat_body() -> BodySurface:
+    """A plane 2 cm below the shirt."""
+    vertices = np.array([[-1.0, -1.0, -0.02], [2.0, -1.0, -0.02], [2.0, 2.0, -0.02], [-1.0, 2.0, -0.02]])
+    weights = np.zeros((4, 55), np.float32)
+    weights[:, 9] = 1
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    return BodySurface(vertices, vertices, faces, weights, np.zeros((4, 10, 3), np.float32))
+
+
 @pytest.mark.parametrize("between", [0.0, 0.008])
 def test_a_shirt_goes_on_under_the_vest_and_not_the_other_way(between: float) -> None:
     vertices, faces, vest = shirt_and_vest(between)
     labels = np.where(vest, OUTER, UPPER).astype(np.uint8)
     config = SegmentLayersConfig(extended_rings=2)
-    shirt = garment_layer(_template(vertices, faces), labels, UPPER, config)
+    shirt = garment_layer(_template(vertices, faces), labels, UPPER, config, _flat_body())
     reached = shirt["vertices"][:, 0].max()
     assert 0.3 < reached < 0.4, "a quarter of a metre beneath the vest"
     tucked = shirt["ring"] > 0
@@ -84,11 +94,12 @@ def test_a_shirt_goes_on_under_the_vest_and_not_the_other_way(between: float) ->
     beneath_vest = shirt["vertices"][:, 0] > 0.2
     assert tucked[beneath_vest].all()
     depth = above - shirt["vertices"][beneath_vest, 2]
-    np.testing.assert_allclose(depth, 2 * config.ring_depth_m, atol=1e-6)
-    outer = garment_layer(_template(vertices, faces), labels, OUTER, config)
+    expected = max(2 * config.ring_depth_m, between)  # a vest that stands off: the shirt keeps its own height
+    np.testing.assert_allclose(depth, expected, atol=1e-5)
+    outer = garment_layer(_template(vertices, faces), labels, OUTER, config, _flat_body())
     assert outer["vertices"][:, 0].min() > 0.06, "a vest has no reason to go on under the shirt"
     without = SegmentLayersConfig(beneath_m=0.0, beneath_outer_m=0.0)
-    plain = garment_layer(_template(vertices, faces), labels, UPPER, without)
+    plain = garment_layer(_template(vertices, faces), labels, UPPER, without, _flat_body())
     assert len(plain["faces"]) < len(shirt["faces"])
 
 

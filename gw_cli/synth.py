@@ -27,8 +27,8 @@ def register(app: typer.Typer) -> None:
         Writes OUT/subject_1 (T-shirt, flared skirt) and OUT/subject_2 (T-shirt, trousers, open vest):
         captures with images, masks, label images, body parameters and a first-frame scan, a training
         motion and another one held out. OUT/tryon_truth is subject 2 in subject 1's skirt, and
-        OUT/motions/held_out.npz its motion. Garments are simulated cloth; the same seed gives the same
-        files.
+        OUT/motions/held_out.npz its motion. OUT/inner_truth is subject 2 without the vest, in some frames of
+        the training motion. Garments are simulated cloth; the same seed gives the same files.
         """
         from stages.synth.config import PRESETS
 

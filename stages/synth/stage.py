@@ -4,6 +4,8 @@ Reads nothing. Writes, under the output folder:
     subject_1, subject_2   native captures with the takes `train` and `held_out` (images, masks, labels, exact
                            `smpl_params.npz`, `scan.ply` of frame 0, `gt/meshes.npz` simulated garments)
     tryon_truth            native capture, take `held_out` (split test): subject 2 in subject 1's skirt
+    inner_truth            native capture, take `inner` (split test): some training frames of subject 2 without
+                           the vest; the shirt is where it was under the vest
     motions/held_out.npz   the poses of that take, 30 frames/s, layout of `smpl_params.npz`
 World: metres, y up, the floor is y = 0. All poses are at 30 frames/s; every few frames have images.
 """
@@ -33,14 +35,14 @@ from stages.synth.bodies import PERSON_1, PERSON_2, Person, ShapedBody, betas_of
 from stages.synth.cloth import cloth_model, stretch_of
 from stages.synth.config import SynthConfig
 from stages.synth.dressed import Bound, accessories, look_of, vertices_at
-from stages.synth.garments import LOWER, Garment, Pattern, fit, wardrobe
+from stages.synth.garments import LOWER, OUTER, Garment, Pattern, fit, wardrobe
 from stages.synth.simulate import simulate
 from stages.synth.truth import garment_truth, scan
 from stages.synth.views import Scene, camera_ring
 
 WORKERS = max(1, min(8, os.cpu_count() or 1))
-TRAIN, HELD_OUT = "train", "held_out"
-CAPTURES = ("subject_1", "subject_2", "tryon_truth")
+TRAIN, HELD_OUT, INNER = "train", "held_out", "inner"
+CAPTURES = ("subject_1", "subject_2", "tryon_truth", "inner_truth")
 SOURCE = "gw synth"  # what a capture says about where it is from
 
 
@@ -89,7 +91,7 @@ def plan(output: Path, config: SynthConfig = SynthConfig()) -> Plan:
     return Plan(
         inputs=[],
         outputs=[
-            f"{output}/{name}" for name in ("subject_1", "subject_2", "tryon_truth", "motions/held_out.npz")
+            f"{output}/{name}" for name in (*CAPTURES, "motions/held_out.npz")
         ],
         config=asdict(config),
         seconds=10 + (cloth + pictures) / 2,
@@ -100,7 +102,7 @@ def plan(output: Path, config: SynthConfig = SynthConfig()) -> Plan:
 
 def _views(config: SynthConfig) -> int:
     """Pictures of all captures."""
-    return (2 * config.train_images + 3 * config.test_images) * (config.cameras + 1)
+    return (2 * config.train_images + 4 * config.test_images) * (config.cameras + 1)
 
 
 def _disk_bytes(config: SynthConfig) -> int:
@@ -129,6 +131,8 @@ def run(output: Path, config: SynthConfig = SynthConfig(), report: Report = SILE
         ("tryon_truth", HELD_OUT, swapped),
     ]
     takes = _parallel(lambda job: _simulated(job, config), sorted(jobs, key=_longest_first), report)
+
+    takes.append(_without_outer(takes, config))
 
     report.step("rendering views")
     captures = {}
@@ -177,6 +181,17 @@ def outfits(mean: ShapedBody, config: SynthConfig) -> tuple[Outfit, Outfit, Outf
     # The vest stays on: no camera ever saw the shirt beneath it, so nobody could have learned it.
     own = [garment for garment in second.garments if garment.label != LOWER]
     return first, second, replace(second, garments=[skirt, *own])
+
+
+def _without_outer(takes: list[Take], config: SynthConfig) -> Take:
+    """As many training frames of subject 2 as a test has, without the outer garment; the rest is unchanged."""
+    worn = next(take for take in takes if (take.capture, take.name) == ("subject_2", TRAIN))
+    inner = [index for index, garment in enumerate(worn.outfit.garments) if garment.label != OUTER]
+    outfit = replace(worn.outfit, garments=[worn.outfit.garments[index] for index in inner])
+    rows = np.linspace(0, len(worn.frames) - 1, config.test_images).round().astype(int)
+    frames = [worn.frames[row] for row in np.unique(rows)]
+    cloth = [worn.cloth[index] for index in inner]
+    return Take("inner_truth", INNER, outfit, worn.poses, frames, cloth)
 
 
 def _simulated(job: Job, config: SynthConfig) -> Take:

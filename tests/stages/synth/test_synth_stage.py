@@ -40,6 +40,7 @@ GARMENTS = {
     ("subject_1", "train"): {"lower", "upper"},
     ("subject_2", "train"): {"lower", "upper", "outer"},
     ("tryon_truth", "held_out"): {"lower", "upper", "outer"},
+    ("inner_truth", "inner"): {"lower", "upper"},
 }
 
 
@@ -204,6 +205,20 @@ def test_the_try_on_is_subject_2_in_the_skirt_of_subject_1(made: stage.SynthResu
         assert np.array_equal(worn["lower_f"], first["lower_f"])
         assert np.array_equal(worn["lower_uv"], first["lower_uv"])
         assert np.ptp(worn["lower_rest"][:, 0]) > np.ptp(first["lower_rest"][:, 0])  # graded to a larger body
+
+
+def test_the_inner_truth_is_subject_2_without_the_vest(made: stage.SynthResult) -> None:
+    inner, worn = _take(made, "inner_truth", "inner"), _take(made, "subject_2", "train")
+    assert inner.split == "test" and set(inner.frames) <= set(worn.frames)
+    frame = inner.frames[-1]
+    revealed = 0
+    for camera in inner.cameras:
+        before, after = worn.labels(camera, frame), inner.labels(camera, frame)
+        assert before is not None and after is not None
+        same = after[before != 5] == before[before != 5]
+        assert same.mean() > 0.999, "only a pixel that the vest shares with something else may change"
+        revealed += int((after[before == 5] == 3).sum())
+    assert revealed > 50, "the shirt shows where the vest was"
 
 
 def test_the_same_seed_gives_the_same_files(tmp_path: Path) -> None:

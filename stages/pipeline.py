@@ -9,7 +9,7 @@ REGISTER_TEMPLATE = StageSpec(
 )
 CANONICALIZE = StageSpec("canonicalize", "gw canonicalize SUBJECT", ("register-template",), code_version=2)
 SEGMENT_LAYERS = StageSpec(
-    "segment-layers", "gw segment-layers SUBJECT", ("register-template", "canonicalize"), code_version=2
+    "segment-layers", "gw segment-layers SUBJECT", ("register-template", "canonicalize"), code_version=3
 )
 BAKE_MAPS = StageSpec("bake-maps", "gw bake-maps SUBJECT", ("canonicalize", "segment-layers"), code_version=2)
 TRAIN = StageSpec("train", "gw train SUBJECT", ("register-template", "bake-maps"), code_version=6)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
+from scipy.spatial import cKDTree
 
 from stages.segment_layers.regions import mesh_edges
 from stages.shared.fields.diffusion import conjugate_gradient
@@ -20,6 +21,7 @@ from stages.shared.meshes.topology import vertex_normals
 
 _CLEARANCE = 0.002  # m, least distance to the body
 _LEAST_MOVE = 0.001  # m; cloth that already lies this near to its place keeps it
+_GAP = 0.01  # m between a cover and the visible cloth next to it
 _SCREEN = 1e-6  # pull of the median distance on pieces that touch no visible part
 
 
@@ -108,6 +110,8 @@ def continued_distance(
 ) -> np.ndarray:
     """(V,) m: `distance` where visible; elsewhere its harmonic continuation over the mesh.
 
+    A cover that is a separate piece of the scan is linked to the visible vertices that it lies next to.
+
     Arguments:
         vertices: (V, 3). faces: (F, 3). distance: (V,) m to the body. hidden: (V,) bool.
     """
@@ -115,7 +119,7 @@ def continued_distance(
         return distance
     visible = np.flatnonzero(~hidden)
     median = float(np.median(distance[visible])) if len(visible) else _CLEARANCE
-    edges = mesh_edges(vertices, faces)
+    edges = np.concatenate([mesh_edges(vertices, faces), _links_across(vertices, hidden)])
     count = len(vertices)
     links = sparse.coo_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(count, count)).tocsr()
     links = links + links.T
@@ -127,3 +131,13 @@ def continued_distance(
     start = np.full((len(unknown), 1), median)
     result[unknown] = conjugate_gradient(matrix, right[:, None], start, 1e-6, 2000)[:, 0]
     return result
+
+
+def _links_across(vertices: np.ndarray, hidden: np.ndarray) -> np.ndarray:
+    """(E, 2) a link from each hidden vertex to the nearest visible one within `_GAP`."""
+    below, visible = np.flatnonzero(hidden), np.flatnonzero(~hidden)
+    if not len(visible):
+        return np.zeros((0, 2), np.int64)
+    apart, nearest = cKDTree(vertices[visible]).query(vertices[below], distance_upper_bound=_GAP)
+    near = np.isfinite(apart)
+    return np.stack([below[near], visible[nearest[near]]], axis=1)

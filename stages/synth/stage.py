@@ -90,9 +90,7 @@ def plan(output: Path, config: SynthConfig = SynthConfig()) -> Plan:
     pictures = 5e-8 * rays + 0.03 * views
     return Plan(
         inputs=[],
-        outputs=[
-            f"{output}/{name}" for name in (*CAPTURES, "motions/held_out.npz")
-        ],
+        outputs=[f"{output}/{name}" for name in (*CAPTURES, "motions/held_out.npz")],
         config=asdict(config),
         seconds=10 + (cloth + pictures) / 2,
         memory_bytes=900 << 20,

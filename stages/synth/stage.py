@@ -4,8 +4,8 @@ Reads nothing. Writes, under the output folder:
     subject_1, subject_2   native captures with the takes `train` and `held_out` (images, masks, labels, exact
                            `smpl_params.npz`, `scan.ply` of frame 0, `gt/meshes.npz` simulated garments)
     tryon_truth            native capture, take `held_out` (split test): subject 2 in subject 1's skirt
-    inner_truth            native capture, take `inner` (split test): some training frames of subject 2 without
-                           the vest; the shirt is where it was under the vest
+    inner_truth            native capture, take `inner` (split test): some training frames of subject 2
+                           without the vest; the shirt is where it was under the vest
     motions/held_out.npz   the poses of that take, 30 frames/s, layout of `smpl_params.npz`
 World: metres, y up, the floor is y = 0. All poses are at 30 frames/s; every few frames have images.
 """
@@ -182,7 +182,7 @@ def outfits(mean: ShapedBody, config: SynthConfig) -> tuple[Outfit, Outfit, Outf
 
 
 def _without_outer(takes: list[Take], config: SynthConfig) -> Take:
-    """As many training frames of subject 2 as a test has, without the outer garment; the rest is unchanged."""
+    """Some training frames of subject 2, as many as a test has, without the outer garment."""
     worn = next(take for take in takes if (take.capture, take.name) == ("subject_2", TRAIN))
     inner = [index for index, garment in enumerate(worn.outfit.garments) if garment.label != OUTER]
     outfit = replace(worn.outfit, garments=[worn.outfit.garments[index] for index in inner])

@@ -164,7 +164,7 @@ def register(app: typer.Typer) -> None:
         On several processes, also of several machines: torchrun --nproc-per-node 2 -m gw_cli train SUBJECT …
         Each draws --views-per-step cameras of the same frame.
         """
-        from stages.train.config import METHODS, PRESETS
+        from stages.train.config import DEFAULT_METHOD, PRESETS
 
         console = Console(as_json)
         chosen: dict[str, Any] = {
@@ -230,7 +230,7 @@ def register(app: typer.Typer) -> None:
             if as_json
             else {"artifact": result.artifact.path, **_short(result.summary)},
             next_command=f"gw export-garment {subject} --layer body -o body.gwg"
-            if method == METHODS[0]
+            if method == DEFAULT_METHOD
             else f"gw evaluate {subject}",
         )
 

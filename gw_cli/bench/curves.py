@@ -132,11 +132,11 @@ def _checked(subject: Path, folder: Path, runs: dict[str, Any], config: Any) -> 
     from stages.pipeline import BAKE_MAPS
     from stages.shared.artifacts import Workspace
     from stages.shared.targets import check_folder_target
-    from stages.train.method import settled
+    from stages.train.resolve import resolve_settings
 
     check_config(config)
     for run in runs.values():
-        settled(run)
+        resolve_settings(run)
     check_folder_target(folder)
     Workspace(subject).require(BAKE_MAPS)
     return CurveViews.of(subject, config)

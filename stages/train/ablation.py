@@ -36,7 +36,7 @@ PARTS: dict[str, str] = {
 }
 
 
-def ablated(config: TrainConfig) -> TrainConfig:
+def apply_ablation(config: TrainConfig) -> TrainConfig:
     """The configuration without the parts that its `without` names; doing it twice changes nothing.
 
     Raises:

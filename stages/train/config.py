@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from stages.shared.avatar.config import PAPER_MODEL, ModelConfig
 
 ALL_TAKES = "all"
-METHODS = ("gaussian-wardrobe", "animatable-gaussians", "layga")
+DEFAULT_METHOD = "gaussian-wardrobe"
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class TrainConfig:
             of perceptual weights, empty for none; the stage fills it in.
         weights, rates, track, model: see there.
         method: what is learned: "gaussian-wardrobe" (a layer per garment), or a baseline
-            (`stages/train/method.py`). without: parts left out (`stages/train/ablation.py`).
+            (`stages/train/methods`). without: parts left out (`stages/train/ablation.py`).
         takes: training takes to learn from beside the one of the template; "all" for every one.
         from_layers: layers that start from another subject (`stages/train/start.py`); all that both have
             where it is empty and such a subject is given.
@@ -128,7 +128,7 @@ class TrainConfig:
     rates: LearningRates = field(default_factory=LearningRates)
     track: TrackConfig = field(default_factory=TrackConfig)
     model: ModelConfig = field(default_factory=ModelConfig)
-    method: str = METHODS[0]
+    method: str = DEFAULT_METHOD
     without: tuple[str, ...] = ()
     takes: tuple[str, ...] = field(default=(), metadata={"said_if_set": True})
     from_layers: tuple[str, ...] = field(default=(), metadata={"said_if_set": True})

@@ -23,8 +23,10 @@ from stages.shared.capture.take import MASK_THRESHOLD
 from stages.shared.errors import MissingInput
 from stages.shared.layers import BODY, NO_LABEL
 from stages.train.ahead import Ahead
+from stages.train.config import DEFAULT_METHOD
 from stages.train.footage import Footage
-from stages.train.method import layer_of_label
+from stages.train.methods.base import Method
+from stages.train.methods.registry import METHODS
 from stages.train.outline import mesh_outline
 from stages.train.window import Window
 
@@ -89,6 +91,7 @@ class TrainingViews:
     Arguments:
         footage: the takes. poses: row = frame number. body: model of the poses.
         layers: names, inner to outer; labels of other layers count as unknown.
+        method: says which labels show which layer.
         cache_bytes: most memory for decoded crops.
     """
 
@@ -100,6 +103,7 @@ class TrainingViews:
         poses: Poses,
         body: BodyModel,
         layers: Sequence[str],
+        method: Method = METHODS[DEFAULT_METHOD],
         cache_bytes: int = KEPT_BYTES,
     ) -> None:
         self.footage, self.poses, self.body, self.layers = footage, poses, body, tuple(layers)
@@ -110,7 +114,8 @@ class TrainingViews:
         self.ahead: Ahead[ViewKey, View] = Ahead(self._made)
         self._crops: OrderedDict[tuple[int, str], _Crop] = OrderedDict()
         self._layer_of_id = np.full(256, _UNKNOWN, dtype=np.uint8)
-        for label, layer in layer_of_label(self.layers).items():
+        self.layer_of_label = method.layer_of_label(self.layers)
+        for label, layer in self.layer_of_label.items():
             self._layer_of_id[label] = self.layers.index(layer)
 
     def frames(self, step: int) -> list[int]:

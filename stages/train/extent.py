@@ -34,7 +34,7 @@ class Extent:
 
 
 def extent_of(footage: Footage, config: TrainConfig) -> Extent:
-    """What a run with this (settled) configuration looks at. Raises BadData for an empty mask."""
+    """What a run with this (resolved) configuration looks at. Raises BadData for an empty mask."""
     cameras = footage.training_cameras
     config = cost.affordable_tracking(config, len(footage.frames), len(cameras))
     learned = footage.every(config.frame_step)

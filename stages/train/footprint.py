@@ -15,7 +15,7 @@ from stages.train.cost import decoder_costs, perceived_pixels
 from stages.train.data import KEPT_BYTES, KEPT_BYTES_PER_PIXEL
 from stages.train.extent import Extent, extent_of
 from stages.train.footage import Footage
-from stages.train.method import settled
+from stages.train.resolve import resolve_settings
 
 _FLOAT = 4
 _COPIES = 5  # value, gradient, two moments; one more while reading and writing
@@ -36,7 +36,7 @@ def anchors_of(config: TrainConfig, extent: Extent) -> int:
 
 
 def memory_bytes(maps: dict[str, LayerMaps], config: TrainConfig, extent: Extent) -> int:
-    """Peak of a run with this (settled) configuration."""
+    """Peak of a run with this (resolved) configuration."""
     costs = decoder_costs(maps, config, anchors_of(config, extent)).values()
     learned = _COPIES * _FLOAT * sum(cost.parameters for cost in costs)
     texels = _PER_GAUSSIAN * sum(len(layer) for layer in maps.values())
@@ -58,7 +58,10 @@ def smaller_runs(maps: dict[str, LayerMaps], config: TrainConfig, footage: Foota
     kept = {"method": config.method, "minutes": config.minutes}
     others += [(option, replace(preset, **kept)) for option, preset in presets]  # type: ignore[arg-type]
     whole = memory_bytes(maps, config, extent_of(footage, config))
-    sizes = {o: memory_bytes(maps, c, extent_of(footage, c)) for o, c in ((o, settled(c)) for o, c in others)}
+    sizes = {
+        o: memory_bytes(maps, c, extent_of(footage, c))
+        for o, c in ((o, resolve_settings(c)) for o, c in others)
+    }
     return {option: size for option, size in sizes.items() if size < whole}
 
 

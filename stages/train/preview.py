@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -9,7 +11,6 @@ from numpy.typing import NDArray
 from stages.shared.avatar.compose import compose
 from stages.shared.layers import LABEL_COLORS, SKIN
 from stages.train.data import TrainingViews, View
-from stages.train.method import layer_of_label
 from stages.train.objective import render
 from stages.train.trainer import Trainer
 
@@ -34,7 +35,8 @@ def preview(trainer: Trainer, choices: list[tuple[int, str]]) -> NDArray[np.uint
         alpha = seen.alpha.cpu()
         paper = torch.full((3,), _GREY / 255.0)
         picture = seen.color.cpu() + (1.0 - alpha)[..., None] * paper
-        chart = seen.labels.cpu() @ _layer_colors(composite.layers) + (1.0 - alpha)[..., None] * paper
+        colors = _layer_colors(composite.layers, trainer.views.layer_of_label)
+        chart = seen.labels.cpu() @ colors + (1.0 - alpha)[..., None] * paper
         rows.append(np.concatenate([_truth(view), _bytes(picture), _bytes(chart)], axis=1))
     width = max(row.shape[1] for row in rows)
     padded = [np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0)), constant_values=_GREY) for row in rows]
@@ -46,9 +48,9 @@ def _truth(view: View) -> NDArray[np.uint8]:
     return _bytes(view.image * inside + (1.0 - inside) * _GREY / 255.0)
 
 
-def _layer_colors(layers: tuple[str, ...]) -> torch.Tensor:
-    """(L, 3) 0..1: the label colour of each layer; a baseline's clothing takes the first of its garments'."""
-    first = {layer: label for label, layer in reversed(layer_of_label(layers).items())}
+def _layer_colors(layers: tuple[str, ...], layer_of_label: Mapping[int, str]) -> torch.Tensor:
+    """(L, 3) 0..1: the label colour of each layer; of several labels that show it, the first."""
+    first = {layer: label for label, layer in reversed(list(layer_of_label.items()))}
     return torch.tensor([LABEL_COLORS[first.get(layer, SKIN)] for layer in layers]) / 255.0
 
 

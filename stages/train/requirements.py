@@ -28,7 +28,7 @@ def scene_requirements(
 
     Arguments:
         maps: of the layers that are learned. poses: row = frame. frames: that are learned from.
-        config: settled (`method.settled`).
+        config: resolved (`resolve`).
     """
     rest = joints_that_rest(body, poses, frames)
     model = config.model

@@ -17,9 +17,10 @@ from stages.shared.capture.subject import open_subject_capture
 from stages.shared.errors import MissingInput, UsageProblem
 from stages.shared.layers import in_order
 from stages.shared.poses import load_poses
-from stages.train.config import ALL_TAKES, METHODS, TrainConfig
+from stages.train.config import ALL_TAKES, TrainConfig
 from stages.train.footage import Footage, joined
-from stages.train.method import MethodLayers, method_layers
+from stages.train.methods.base import MethodLayers
+from stages.train.methods.registry import method_called
 from stages.train.start import Start, read_start
 
 
@@ -57,13 +58,13 @@ class Source:
     def layers(self, method: str) -> MethodLayers:
         """What a method learns: maps of the layers that are there, or those it makes of them."""
         betas = load_poses(self.registered.file("smpl_params.npz")).betas
-        found = method_layers(method, _baked_maps(self.baked), torch.from_numpy(betas))
+        found = method_called(method).layers(_baked_maps(self.baked), torch.from_numpy(betas))
         begun = {name: worn.maps for name, worn in self.start.layers.items()}
         return MethodLayers({**found.maps, **begun}, found.layer_ids)
 
     def own_maps(self, method: str) -> dict[str, dict[str, np.ndarray]]:
         """Arrays of the maps that this run has beside those of bake-maps, by layer."""
-        if method == METHODS[0]:
+        if method_called(method).baked_layers:
             return {name: worn.maps.arrays() for name, worn in self.start.layers.items()}
         layers = self.layers(method)
         found = {name: maps.arrays() for name, maps in layers.maps.items()}

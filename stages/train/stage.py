@@ -48,8 +48,9 @@ from stages.train.extent import Extent, extent_of
 from stages.train.footprint import anchors_of, memory_bytes, smaller_runs
 from stages.train.loop import learn
 from stages.train.memory import available_bytes, memory_named, refuse_if_scarce
-from stages.train.method import settled
+from stages.train.methods.registry import method_called
 from stages.train.requirements import scene_requirements, what_it_took
+from stages.train.resolve import resolve_settings
 from stages.train.source import Source, open_source
 from stages.train.start import Start
 from stages.train.trainer import Trainer
@@ -81,7 +82,7 @@ def run(
     config = for_all(_with_digest(config or TrainConfig(), perceptual_weights), processes)
     if tensorboard:
         board.require()
-    weights = settled(config).weights
+    weights = resolve_settings(config).weights
     workspace = Workspace(subject)
     source = open_source(workspace, config, from_subject)
     inputs = source.inputs
@@ -98,12 +99,12 @@ def run(
         report.say("no perceptual weights given: the LPIPS terms are off")
     device, room = _device(config.device), available_bytes()
     maps = source.layers(config.method).maps
-    extent = extent_of(source.footage, settled(config))
-    needed = memory_bytes(maps, settled(config), extent)
-    require_room(workspace.root, _disk_bytes(maps, settled(config), extent))
+    extent = extent_of(source.footage, resolve_settings(config))
+    needed = memory_bytes(maps, resolve_settings(config), extent)
+    require_room(workspace.root, _disk_bytes(maps, resolve_settings(config), extent))
 
     def fixes() -> dict[str, int]:
-        return smaller_runs(maps, settled(config), source.footage)
+        return smaller_runs(maps, resolve_settings(config), source.footage)
 
     if device.type == "cpu":
         refuse_if_scarce(needed, room // on_this_machine() if room else None, fixes)
@@ -158,7 +159,7 @@ def plan(
     source = open_source(workspace, config, from_subject)
     if perceptual_weights:
         Perceptual.load(perceptual_weights)
-    maps, chosen = source.layers(config.method).maps, settled(config)
+    maps, chosen = source.layers(config.method).maps, resolve_settings(config)
     body = BodyModel.from_arrays(source.registered.arrays("body.safetensors"))
     extent = extent_of(source.footage, chosen)
     given = [str(path) for path in (perceptual_weights, from_subject) if path]
@@ -233,11 +234,11 @@ def _trainer(
 ) -> Trainer:
     body = BodyModel.from_arrays(source.registered.arrays("body.safetensors"))
     footage = source.footage
-    config, maps = settled(config), source.layers(config.method).maps
+    config, maps = resolve_settings(config), source.layers(config.method).maps
     if change is not None:
         maps = {name: change(layer) for name, layer in maps.items()}
     config = cost.affordable_tracking(config, len(footage.frames), len(footage.training_cameras))
-    views = TrainingViews(footage, source.poses, body, list(maps))
+    views = TrainingViews(footage, source.poses, body, list(maps), method_called(config.method))
     frames = len(views.frames(config.track.frame_step or config.frame_step))
     anchors = (
         frames if config.track.frame_step and config.model.anchors else min(config.model.anchors, frames)
@@ -258,7 +259,7 @@ def _trainer(
 
 
 def _disk_bytes(maps: dict[str, LayerMaps], chosen: TrainConfig, extent: Extent) -> int:
-    """Estimate of what a run of the `chosen`, settled configuration writes."""
+    """Estimate of what a run of the `chosen`, resolved configuration writes."""
     return cost.disk_bytes(cost.parameters(maps, chosen, anchors_of(chosen, extent)))
 
 

@@ -27,7 +27,8 @@ from stages.shared.layers import BODY, in_order
 from stages.shared.outfit.coverage import same_grid
 from stages.shared.outfit.layer import WornLayer, layer_of_training
 from stages.shared.poses import load_poses
-from stages.train.config import METHODS, LossWeights, TrainConfig
+from stages.train.config import DEFAULT_METHOD, LossWeights, TrainConfig
+from stages.train.methods.registry import method_called
 
 FROZEN = (BODY,)
 INPUT_NAME = "from-subject"
@@ -90,7 +91,7 @@ def read_start(
     """
     if other.resolve() == subject.root.resolve():
         raise _unusable("A subject cannot start from itself.", other, "Name the subject of the inner outfit.")
-    if config.method != METHODS[0]:
+    if not method_called(config.method).baked_layers:
         raise UsageProblem(
             f"The baseline {config.method} does not start from layers.",
             "options --method and --from-subject",
@@ -110,7 +111,7 @@ def read_start(
             "Register both with the same one: gw register-template --body-model.",
         )
     model = trained.json("model.json")
-    if model.get("method", METHODS[0]) != METHODS[0]:
+    if not method_called(model.get("method", DEFAULT_METHOD)).baked_layers:
         raise _unusable(
             f"That subject was trained as the baseline {model['method']}.", other, f"Run: gw train {other}"
         )

@@ -25,7 +25,7 @@ from stages.shared.outfit.player import Player
 from stages.shared.outfit.sources import read_bundles
 from stages.train import cost, stage
 from stages.train.config import PRESETS, LearningRates, TrackConfig, TrainConfig
-from stages.train.method import settled
+from stages.train.resolve import resolve_settings
 from tests.stages.train.scene import make_subject, poses, tiny
 
 MODEL = ModelConfig(decoder="blendshapes", ranks=(3, 2, 1), history=2)
@@ -93,11 +93,11 @@ def test_what_networks_have_is_left_out() -> None:
         paper,
         replace(PRESETS["draft"], model=replace(PRESETS["draft"].model, decoder="blendshapes")),
     ):
-        once = settled(config)
-        assert settled(once) == once and once.model.anchors == 0 and once.track.frame_step == 0
+        once = resolve_settings(config)
+        assert resolve_settings(once) == once and once.model.anchors == 0 and once.track.frame_step == 0
         assert once.model.base and not once.model.view_conditioning and once.model.networks == "none"
     with pytest.raises(UsageProblem, match="baseline"):
-        settled(TrainConfig(method="layga", model=ModelConfig(decoder="blendshapes")))
+        resolve_settings(TrainConfig(method="layga", model=ModelConfig(decoder="blendshapes")))
 
 
 @pytest.mark.parametrize(

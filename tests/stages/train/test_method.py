@@ -20,9 +20,12 @@ from stages.shared.errors import MissingInput, UsageProblem
 from stages.shared.layers import LAYERS
 from stages.shared.outfit.outfit import outfit_of_training
 from stages.train import stage
-from stages.train.ablation import PARTS, ablated
-from stages.train.config import METHODS, PRESETS, LossWeights, TrainConfig
-from stages.train.method import clothing_layer, layer_of_label, method_layers, settled, whole_layer
+from stages.train.ablation import PARTS, apply_ablation
+from stages.train.config import DEFAULT_METHOD, PRESETS, LossWeights, TrainConfig
+from stages.train.methods.animatable_gaussians import whole_layer
+from stages.train.methods.layga import clothing_layer
+from stages.train.methods.registry import METHODS, method_called
+from stages.train.resolve import resolve_settings
 from tests.shared.avatar.tubes import CENTRE, GRID, PITCH, tube_arrays
 from tests.stages.train.scene import make_subject, poses, tiny
 
@@ -102,18 +105,18 @@ def test_clothing_lies_on_the_covered_skin(tubes: dict[str, LayerMaps]) -> None:
     with pytest.raises(MissingInput):
         clothing_layer(body, [far])
     with pytest.raises(MissingInput):
-        method_layers("layga", {"body": body}, ZERO)
+        method_called("layga").layers({"body": body}, ZERO)
 
 
 def test_labels_of_layers() -> None:
-    assert layer_of_label(("body", "clothing")) == dict.fromkeys((0, 1, 2), "body") | dict.fromkeys(
-        (3, 4, 5), "clothing"
-    )
-    assert layer_of_label(("body", "upper")) == {0: "body", 1: "body", 2: "body", 3: "upper"}
-    assert layer_of_label(("whole",)) == {}
+    clothing = METHODS["layga"].layer_of_label(("body", "clothing"))
+    assert clothing == dict.fromkeys((0, 1, 2), "body") | dict.fromkeys((3, 4, 5), "clothing")
+    shirt = METHODS[DEFAULT_METHOD].layer_of_label(("body", "upper"))
+    assert shirt == dict.fromkeys((0, 1, 2), "body") | {3: "upper"}
+    assert METHODS["animatable-gaussians"].layer_of_label(("whole",)) == {}
 
 
-@pytest.mark.parametrize("method", METHODS[1:])
+@pytest.mark.parametrize("method", sorted(METHODS.keys() - {DEFAULT_METHOD}))
 def test_baselines_train_and_are_worn(method: str, tmp_path: Path) -> None:
     subject = make_subject(tmp_path)
     result = stage.run(subject, tiny(steps=10, method=method))
@@ -138,16 +141,16 @@ def test_every_part_switches_something_off_and_nothing_else() -> None:
     terms = {field.name for field in fields(LossWeights)}
     gone: set[str] = set()
     for name in PARTS:
-        less = ablated(replace(full, without=(name,)))
+        less = apply_ablation(replace(full, without=(name,)))
         off = {term for term in terms if getattr(full.weights, term) != getattr(less.weights, term)}
         assert all(getattr(less.weights, term) == 0 for term in off)
-        assert less != replace(full, without=(name,)) and ablated(less) == less
+        assert less != replace(full, without=(name,)) and apply_ablation(less) == less
         assert not off & gone, "a term belongs to one part"
         gone |= off
     assert gone == terms - {"l1"}
-    assert ablated(full) == full
-    assert not ablated(replace(full, without=("sg",))).track.labels
-    assert full.track.collision and not ablated(replace(full, without=("pe",))).track.collision
+    assert apply_ablation(full) == full
+    assert not apply_ablation(replace(full, without=("sg",))).track.labels
+    assert full.track.collision and not apply_ablation(replace(full, without=("pe",))).track.collision
 
 
 def test_ablation_is_in_the_key_and_silences_the_term(tmp_path: Path) -> None:
@@ -161,11 +164,11 @@ def test_ablation_is_in_the_key_and_silences_the_term(tmp_path: Path) -> None:
 
 def test_settling_twice_changes_nothing_and_unknown_names_are_refused() -> None:
     for method in METHODS:
-        once = settled(TrainConfig(method=method, without=("pe",)))
-        assert settled(once) == once and once.weights.penetration == 0
+        once = resolve_settings(TrainConfig(method=method, without=("pe",)))
+        assert resolve_settings(once) == once and once.weights.penetration == 0
     for wrong in (TrainConfig(method="magic"), TrainConfig(without=("magic",))):
         with pytest.raises(UsageProblem, match="magic"):
-            settled(wrong)
+            resolve_settings(wrong)
 
 
 def test_help_names_every_part_and_method() -> None:

@@ -13,8 +13,8 @@ from stages.shared.errors import UsageProblem
 from stages.shared.losses.crops import face_box
 from stages.train import stage
 from stages.train.data import choose
-from stages.train.method import settled
 from stages.train.objective import picture_terms, render
+from stages.train.resolve import resolve_settings
 from stages.train.trainer import Trainer
 from stages.train.window import Window, outlines
 from tests.stages.train.scene import make_subject, tiny
@@ -152,4 +152,4 @@ def test_the_face_term_is_off_where_the_window_shows_no_face(subject: Path) -> N
 
 def test_too_small_a_window_is_refused() -> None:
     with pytest.raises(UsageProblem, match="too small"):
-        settled(tiny(patch=20))
+        resolve_settings(tiny(patch=20))

@@ -39,9 +39,13 @@ def register(app: typer.Typer) -> None:
 
         console = Console(as_json)
         if path.suffix == ".gwg":
-            from stages.shared.artifacts.bundle import verify_bundle
+            from stages.shared.artifacts.bundle import read_bundle
 
-            console.result({"bundle": str(path), "digest": verify_bundle(path), "damaged": []})
+            bundle = read_bundle(path)
+            from stages.shared.outfit.layer import check_bundle_model  # needs torch: a damaged file does not
+
+            check_bundle_model(bundle, str(path))
+            console.result({"bundle": str(path), "digest": bundle.digest, "damaged": []})
             return
         if path.suffix in (".ply", ".spz", ".glb"):
             from stages.shared.export.splats import splat_facts

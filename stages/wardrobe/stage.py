@@ -27,7 +27,7 @@ from stages.shared.outfit.outfit import Outfit, outfit_of_bundles
 from stages.shared.outfit.penetration import TRYON_MARGINS
 from stages.shared.outfit.picture import Shot, take_picture
 from stages.shared.outfit.viewpoints import looking_camera
-from stages.shared.outfit.wardrobe import Piece, pieces, sensible_outfits
+from stages.shared.outfit.wardrobe import Piece, count_outfits, pieces, sensible_outfits
 from stages.shared.pictures.folder import check_output, output_folder
 from stages.shared.pictures.sheet import contact_sheet
 from stages.shared.poses.read import load_poses
@@ -63,17 +63,19 @@ def run(
     """
     started = time.monotonic()
     check_output(output, RESULT_NAME, MARK)
-    outfits = sensible_outfits(pieces(wardrobe))
-    if not outfits:
+    catalogue = pieces(wardrobe)
+    count = count_outfits(catalogue)
+    if not count:
         raise MissingInput(
             "The wardrobe has no body.", str(wardrobe), "Add one: gw wardrobe add DIR body.gwg."
         )
-    if len(outfits) > config.most:
+    if count > config.most:
         raise UsageProblem(
-            f"There are {len(outfits)} outfits, more than {config.most}.",
+            f"There are {count} outfits, more than {config.most}.",
             str(wardrobe),
             "Make a smaller wardrobe, or raise --most.",
         )
+    outfits = list(sensible_outfits(catalogue))
     report.step(f"rendering {len(outfits)} outfits")
     cells, captions, rows = [], [], []
     bundles: dict[str, Bundle] = {}

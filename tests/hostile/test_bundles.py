@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stages.shared.artifacts.arrays import encode_arrays
 from stages.shared.artifacts.bundle import Bundle, decode_bundle, encode_bundle, read_bundle
-from stages.shared.artifacts.canonical import canonical_json, digest
 from stages.shared.errors import BadData
+from tests.hostile.forge import forged_parts
 from tests.shared.outfit.wardrobe import bundle, worn
 
 Header = dict[str, Any]
@@ -49,20 +48,8 @@ def _refused(data: bytes, path: Path) -> str:
     return caught.value.what
 
 
-def _forged(good: Bundle, arrays: dict[str, np.ndarray], manifest: dict[str, Any]) -> bytes:
-    """A bundle whose digests are right though its content is not what a bundle may hold."""
-    tensors = {}
-    for name, array in arrays.items():
-        array = np.ascontiguousarray(array)
-        mark = f"{array.dtype.newbyteorder('<').str} {list(array.shape)} ".encode()
-        tensors[name] = {"sha256": digest(mark + array.tobytes())}
-    schema = {"name": "gwg", "major": 1, "minor": 1}
-    text = canonical_json({"schema": schema, **manifest, "tensors": tensors})
-    return b"".join(encode_arrays(arrays, "forged", {"gwg": text.decode(), "gwg_sha256": digest(text)}))
-
-
 def test_the_forger_makes_good_bundles_too(good: Bundle, content: bytes) -> None:
-    assert _forged(good, good.arrays, good.manifest) == content
+    assert forged_parts(good.arrays, good.manifest) == content
 
 
 def test_truncated_anywhere(content: bytes, tmp_path: Path) -> None:
@@ -172,7 +159,7 @@ MANIFEST_LIES: dict[str, Callable[[dict[str, Any]], None]] = {
 def test_manifests_that_lie_though_sealed(case: str, good: Bundle, tmp_path: Path) -> None:
     manifest = dict(good.manifest)
     MANIFEST_LIES[case](manifest)
-    what = _refused(_forged(good, good.arrays, manifest), tmp_path / "x.gwg")
+    what = _refused(forged_parts(good.arrays, manifest), tmp_path / "x.gwg")
     if case == "newer major":
         assert "2.0" in what and "1.1" in what
 
@@ -230,7 +217,7 @@ ARRAY_LIES: list[tuple[str, ArrayChange]] = [
 def test_arrays_that_mean_nothing_though_sealed(case: int, good: Bundle, tmp_path: Path) -> None:
     name, change = ARRAY_LIES[case]
     arrays = {**good.arrays, name: np.ascontiguousarray(change(good.arrays[name]))}
-    _refused(_forged(good, arrays, good.manifest), tmp_path / "x.gwg")
+    _refused(forged_parts(arrays, good.manifest), tmp_path / "x.gwg")
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
@@ -244,7 +231,7 @@ def test_numbers_that_are_not_finite(value: float, content: bytes, tmp_path: Pat
 
 def test_a_garment_may_not_bring_a_body(good: Bundle, tmp_path: Path) -> None:
     arrays = {**good.arrays, "body/template_vertices": np.zeros((4, 3), np.float32)}
-    _refused(_forged(good, arrays, good.manifest), tmp_path / "x.gwg")
+    _refused(forged_parts(arrays, good.manifest), tmp_path / "x.gwg")
 
 
 def test_every_flipped_bit_is_found(content: bytes) -> None:

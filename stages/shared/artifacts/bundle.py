@@ -9,6 +9,7 @@ date. A reader believes no number before it has checked it.
 from __future__ import annotations
 
 import json
+import os
 import re
 import struct
 from collections.abc import Mapping
@@ -19,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from stages.shared.artifacts.arrays import Arrays, decode_arrays, encode_arrays
-from stages.shared.artifacts.bundle_content import check_arrays, check_manifest
+from stages.shared.artifacts.bundle_content import check_arrays, check_layout, check_manifest
 from stages.shared.artifacts.canonical import canonical_json, digest, plain, strict_json
 from stages.shared.artifacts.files import write_whole
 from stages.shared.errors import BadData, MissingInput, StorageFailure
@@ -110,8 +111,12 @@ def read_bundle(path: Path, max_bytes: int = MAX_FILE_BYTES) -> Bundle:
         StorageFailure: the file cannot be read.
     """
     path = Path(path)
-    data, _ = _read(path, max_bytes)
-    return decode_bundle(data, str(path))
+    return decode_bundle(read_bundle_bytes(path, max_bytes), str(path))
+
+
+def read_bundle_bytes(path: Path, max_bytes: int = MAX_FILE_BYTES) -> bytearray:
+    """The bytes of a `.gwg` file, for `decode_bundle`; raises MissingInput, BadData, StorageFailure."""
+    return _read(Path(path), max_bytes)[0]
 
 
 @dataclass(frozen=True)
@@ -147,6 +152,7 @@ def read_card(path: Path, max_bytes: int = MAX_FILE_BYTES) -> BundleCard:
     if set(manifest.pop("tensors")) != set(entries):
         raise _refused("its manifest speaks of other tensors than it holds", where)
     tensors = {name: (str(entry["dtype"]), tuple(entry["shape"])) for name, entry in entries.items()}
+    check_layout(manifest, tensors, where)
     return BundleCard(manifest, notes[_SEAL], tensors, size)
 
 
@@ -182,8 +188,10 @@ def verify_bundle(path: Path) -> str:
 def _read(path: Path, max_bytes: int, header_only: bool = False) -> tuple[bytearray, int]:
     """All bytes of a file whose size is acceptable, or those of its header; and that size."""
     try:
+        if path.exists() and not path.is_file() and not path.is_dir():
+            raise _refused("it is a pipe or a device, not a file", str(path))
         with path.open("rb") as stream:
-            size = path.stat().st_size
+            size = os.fstat(stream.fileno()).st_size
             if size > max_bytes:
                 raise _refused(f"it has {size} bytes, more than {max_bytes}", str(path))
             head = stream.read(8)
@@ -260,7 +268,11 @@ def _manifest(text: bytes, where: str) -> dict[str, Any]:
         )
     _check_plain(manifest, where)
     check_manifest(manifest, where)
-    if canonical_json(manifest) != text:
+    try:
+        rewritten = canonical_json(manifest)
+    except ValueError as error:  # a number beyond what a float can hold
+        raise _refused(f"its manifest holds a number that is not finite ({error})", where) from error
+    if rewritten != text:
         raise _refused("its manifest is not written as bundles are", where)
     return manifest
 

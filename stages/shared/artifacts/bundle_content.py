@@ -28,11 +28,13 @@ Arrays (N texels; since 1.1 f16 may stand for f32 where `bundle_precision.py` sa
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from stages.shared.artifacts.arrays import Arrays
+from stages.shared.artifacts.bundle_model import check_model
 from stages.shared.artifacts.bundle_precision import may_be_half
 from stages.shared.errors import BadData
 from stages.shared.layers import BODY, LAYERS, SLOTS
@@ -43,7 +45,7 @@ MAX_TEXELS = 2_000_000
 MAX_GRID = 4096
 MAX_VIEWS = 32  # front and back, and sheets peeled off below them
 _BOX = 2.0  # metres: no canonical point is farther from the origin along an axis
-_LARGEST_PREVIEW = 2048
+LARGEST_PREVIEW = 2048
 
 _MAPS: dict[str, tuple[tuple[int, ...], str]] = {
     "texels": ((3,), "i"),
@@ -61,6 +63,8 @@ _SKIN: dict[str, tuple[tuple[int, ...], float, float]] = {
     "offsets": ((3,), -1, 1),
     "colors": ((3,), -0.01, 1.01),
 }
+Layout = Mapping[str, tuple[str, tuple[int, ...]]]  # tensor name to type (F32, F16, I32, U8) and shape
+_TYPES = {"float32": "F32", "float16": "F16", "int32": "I32", "uint8": "U8"}
 _BODY = ("template_vertices", "faces", "shape_directions", "joint_regressor", "skin_weights")
 _BODY_OPTIONAL = ("hand_components_left", "hand_components_right", "hand_mean_left", "hand_mean_right")
 
@@ -105,61 +109,125 @@ def check_manifest(manifest: dict[str, Any], where: str) -> None:
     good_centre = isinstance(centre, list) and len(centre) == 3 and all(_is_number(x) for x in centre)
     if not good_centre or max(abs(x) for x in centre) > _BOX:
         raise _bad("the centre of its grid is not a point near the body", where)
+    check_model(manifest["model"], where)
+    if manifest["model"].get("layer", layer) != layer:
+        raise _bad(f"its model is that of another layer than {layer}", where)
+    _check_training(manifest, where)
 
 
-def check_arrays(manifest: dict[str, Any], arrays: Arrays, where: str) -> None:
-    """Raise BadData unless the arrays are finite, fit together, and hold what their names say."""
-    for name, array in arrays.items():
-        if array.dtype.kind == "f" and not np.isfinite(array).all():
-            raise _bad("a tensor holds NaN or infinity", where, name)
-        if array.size == 0 and name not in ("maps/seams",) and not name.startswith("swap/"):
+def _check_training(manifest: dict[str, Any], where: str) -> None:
+    """What is said about the training is only shown, but shown by every command that lists bundles."""
+    training, costs = manifest["training"], manifest.get("costs", {})
+    for name, kind in (("source", str), ("config", dict), ("scores", dict)):
+        if not isinstance(training.get(name, kind()), kind):
+            raise _bad(f"what it says about its training is not understood (training.{name})", where)
+    scores = training.get("scores", {})
+    wrong = [name for name, value in scores.items() if isinstance(value, float) and not np.isfinite(value)]
+    if wrong:
+        raise _bad(f"a score of its training is not a finite number ({wrong[0][:40]!r})", where)
+    if not isinstance(costs, dict) or not isinstance(costs.get("multiply_adds_per_frame", {}), dict):
+        raise _bad("what it says about its costs is not understood (costs)", where)
+
+
+def layout_of(arrays: Arrays) -> Layout:
+    """Type and shape of every array, as the header of a bundle states them."""
+    return {
+        name: (_TYPES.get(str(array.dtype), str(array.dtype)), array.shape) for name, array in arrays.items()
+    }
+
+
+def check_layout(manifest: dict[str, Any], layout: Layout, where: str) -> None:
+    """Raise BadData unless every tensor that is needed is there, with a type and a shape that fit the others.
+
+    Only the header of a file is needed for this: whoever lists bundles checks as much.
+    """
+    for name, (_, shape) in layout.items():
+        if 0 in shape and name != "maps/seams" and not name.startswith("swap/"):
             raise _bad("a tensor is empty", where, name)
-        if name.startswith("model/") and array.dtype.kind == "f" and float(np.abs(array).max()) > 1e6:
-            raise _bad("a tensor of the model has values beyond a million", where, name)
-    _check_maps(manifest["grid"]["size"], arrays, where)
-    _expect("betas", arrays, (BETAS,), "f", where)
-    if np.abs(arrays["betas"]).max() > 20:
-        raise _bad("a shape coefficient is beyond 20", where, "betas")
-    preview = _named("preview", arrays, where)
-    if preview.dtype != np.uint8 or preview.ndim != 3 or preview.shape[2] != 3:
+    count = _rows("maps/texels", layout, where)
+    if not 1 <= count <= MAX_TEXELS:
+        raise _bad(f"it has {count} texels, not 1 to {MAX_TEXELS}", where)
+    if manifest["model"]["texels"] != count:
+        raise _bad(f"its model has {manifest['model']['texels']} texels, its maps {count}", where)
+    for name, (shape, kind) in _MAPS.items():
+        _expect(f"maps/{name}", layout, (count, *shape), kind, where)
+    _expect("maps/window", layout, (4,), "i", where)
+    _expect("maps/seams", layout, (_rows("maps/seams", layout, where), 2), "i", where)
+    _expect("betas", layout, (BETAS,), "f", where)
+    dtype, shape = layout.get("preview", ("", ()))
+    if dtype != "U8" or len(shape) != 3 or shape[2] != 3:
         raise _bad("the preview is not an 8-bit colour picture", where, "preview")
-    if max(preview.shape) > _LARGEST_PREVIEW:
-        raise _bad(f"the preview is larger than {_LARGEST_PREVIEW} pixels", where, "preview")
+    if max(shape) > LARGEST_PREVIEW:
+        raise _bad(f"the preview is larger than {LARGEST_PREVIEW} pixels", where, "preview")
+    if "joints" in layout:
+        _expect("joints", layout, (JOINTS, 3), "f", where)
+    groups = {name.split("/")[0] for name in layout}
     if manifest["kind"] == "body":
-        _check_body(arrays, where)
-    elif any(name.startswith(("body/", "skin/")) for name in arrays):
+        _expect_body(layout, where)
+    elif groups & {"body", "skin"}:
         raise _bad("a garment carries a body", where)
-    if any(name.startswith("swap/") for name in arrays):
-        _check_swap(manifest, arrays, where)
-    if any(name.startswith("skin/") for name in arrays):
-        _check_skin(arrays, where)
-    if "joints" in arrays:
-        _expect("joints", arrays, (JOINTS, 3), "f", where)
-        if np.abs(arrays["joints"]).max() > _BOX:
-            raise _bad(f"a joint is farther than {_BOX} m from the origin", where, "joints")
+    if "swap" in groups:
+        _expect_swap(manifest, layout, where)
+    if "skin" in groups:
+        for name, (tail, _, _) in _SKIN.items():
+            _expect(f"skin/{name}", layout, (count, *tail), "f", where)
     known = {f"maps/{name}" for name in (*_MAPS, "window", "seams")} | {"betas", "preview", "joints"}
     known |= {f"skin/{name}" for name in _SKIN}
     known |= {f"swap/{name}" for name in ("texels", "offsets", "quaternions")}
     known |= {f"body/{name}" for name in (*_BODY, *_BODY_OPTIONAL)}
-    for name in arrays:
+    for name in layout:
         if name not in known and not name.startswith("model/"):
             raise _bad("a tensor has a name that means nothing", where, name)
 
 
+def _expect_body(layout: Layout, where: str) -> None:
+    count = _rows("body/template_vertices", layout, where)
+    shapes = {
+        "template_vertices": (count, 3),
+        "shape_directions": (count, 3, BETAS),
+        "joint_regressor": (JOINTS, count),
+        "skin_weights": (count, JOINTS),
+    }
+    for name, shape in shapes.items():
+        _expect(f"body/{name}", layout, shape, "f", where)
+    _expect("body/faces", layout, (_rows("body/faces", layout, where), 3), "i", where)
+
+
+def _expect_swap(manifest: dict[str, Any], layout: Layout, where: str) -> None:
+    if manifest["kind"] != "garment":
+        raise _bad("a body carries what lies beneath a garment", where)
+    count = _rows("swap/texels", layout, where)
+    for name, columns, kind in (("texels", 3, "i"), ("offsets", 3, "f"), ("quaternions", 4, "f")):
+        _expect(f"swap/{name}", layout, (count, columns), kind, where)
+
+
+def check_arrays(manifest: dict[str, Any], arrays: Arrays, where: str) -> None:
+    """Raise BadData unless the arrays are finite, fit together, and hold what their names say."""
+    check_layout(manifest, layout_of(arrays), where)
+    for name, array in arrays.items():
+        if array.dtype.kind == "f" and not np.isfinite(array).all():
+            raise _bad("a tensor holds NaN or infinity", where, name)
+        if name.startswith("model/") and array.dtype.kind == "f" and float(np.abs(array).max()) > 1e6:
+            raise _bad("a tensor of the model has values beyond a million", where, name)
+    _check_maps(manifest["grid"]["size"], arrays, where)
+    if np.abs(arrays["betas"]).max() > 20:
+        raise _bad("a shape coefficient is beyond 20", where, "betas")
+    if manifest["kind"] == "body":
+        _check_body(arrays, where)
+    if "swap/texels" in arrays:
+        _check_swap(manifest["grid"]["size"], arrays, where)
+    if "skin/covered" in arrays:
+        for name, (_, low, high) in _SKIN.items():
+            _check_range(arrays, f"skin/{name}", low, high, where)
+    if "joints" in arrays and np.abs(arrays["joints"]).max() > _BOX:
+        raise _bad(f"a joint is farther than {_BOX} m from the origin", where, "joints")
+
+
 def _check_maps(grid_size: int, arrays: Arrays, where: str) -> None:
-    count = len(_named("maps/texels", arrays, where))
-    if not 1 <= count <= MAX_TEXELS:
-        raise _bad(f"it has {count} texels, not 1 to {MAX_TEXELS}", where)
-    for name, (shape, kind) in _MAPS.items():
-        _expect(f"maps/{name}", arrays, (count, *shape), kind, where)
-    _expect("maps/window", arrays, (4,), "i", where)
-    seams = _named("maps/seams", arrays, where)
-    if seams.dtype != np.int32 or seams.ndim != 2 or seams.shape[1] != 2:
-        raise _bad("the seams are not pairs of texels", where, "maps/seams")
+    texels = arrays["maps/texels"]
     row, column, height, width = (int(value) for value in arrays["maps/window"])
     if min(row, column) < 0 or min(height, width) < 1 or max(row + height, column + width) > grid_size:
         raise _bad("the window lies outside the grid", where, "maps/window")
-    texels = arrays["maps/texels"]
     low, high = np.array([0, row, column]), np.array([MAX_VIEWS, row + height, column + width])
     if (texels < low).any() or (texels >= high).any():
         raise _bad("a texel lies outside the window", where, "maps/texels")
@@ -167,7 +235,7 @@ def _check_maps(grid_size: int, arrays: Arrays, where: str) -> None:
     if (np.diff(numbers) <= 0).any():
         raise _bad("the texels are not in order, or one stands twice", where, "maps/texels")
     for name, lowest in (("maps/neighbours", -1), ("maps/seams", 0)):
-        if arrays[name].size and (arrays[name].min() < lowest or arrays[name].max() >= count):
+        if arrays[name].size and (arrays[name].min() < lowest or arrays[name].max() >= len(texels)):
             raise _bad("a texel is named that does not exist", where, name)
     _check_weights(arrays["maps/skin_weights"], 1e-3, where, "maps/skin_weights")
     if np.abs(arrays["maps/positions"]).max() > _BOX:
@@ -177,53 +245,30 @@ def _check_maps(grid_size: int, arrays: Arrays, where: str) -> None:
     lengths = np.linalg.norm(arrays["maps/normals"], axis=1)
     if lengths.min() < 0.5 or lengths.max() > 1.01:
         raise _bad("a normal has not length one", where, "maps/normals")
-    for name, low_value, high_value in (
+    for name, lowest_value, highest_value in (
         ("spacing", 1e-6, 1.0),
         ("colors", -0.01, 1.01),
         ("color_confidence", 0, 2),
     ):
-        values = arrays[f"maps/{name}"]
-        if values.min() < low_value or values.max() > high_value:
-            raise _bad(f"a value is not between {low_value} and {high_value}", where, f"maps/{name}")
+        _check_range(arrays, f"maps/{name}", lowest_value, highest_value, where)
 
 
 def _check_body(arrays: Arrays, where: str) -> None:
-    count = len(_named("body/template_vertices", arrays, where))
-    shapes = {
-        "template_vertices": (count, 3),
-        "shape_directions": (count, 3, BETAS),
-        "joint_regressor": (JOINTS, count),
-        "skin_weights": (count, JOINTS),
-    }
-    for name, shape in shapes.items():
-        _expect(f"body/{name}", arrays, shape, "f", where)
-    faces = _named("body/faces", arrays, where)
-    if (
-        faces.dtype != np.int32
-        or faces.ndim != 2
-        or faces.shape[1] != 3
-        or faces.min() < 0
-        or faces.max() >= count
-    ):
+    faces, vertices = arrays["body/faces"], arrays["body/template_vertices"]
+    if faces.min() < 0 or faces.max() >= len(vertices):
         raise _bad("the faces are not triples of vertices", where, "body/faces")
     _check_weights(arrays["body/skin_weights"], 1e-2, where, "body/skin_weights")
     if np.abs(arrays["body/joint_regressor"].sum(axis=1) - 1).max() > 1e-2:
         raise _bad("rows do not sum to one", where, "body/joint_regressor")
-    if np.abs(arrays["body/template_vertices"]).max() > _BOX:
+    if np.abs(vertices).max() > _BOX:
         raise _bad(f"a point is farther than {_BOX} m from the origin", where, "body/template_vertices")
 
 
-def _check_swap(manifest: dict[str, Any], arrays: Arrays, where: str) -> None:
-    if manifest["kind"] != "garment":
-        raise _bad("a body carries what lies beneath a garment", where)
-    texels = _named("swap/texels", arrays, where)
-    count, size = len(texels), manifest["grid"]["size"]
-    _expect("swap/texels", arrays, (count, 3), "i", where)
-    _expect("swap/offsets", arrays, (count, 3), "f", where)
-    _expect("swap/quaternions", arrays, (count, 4), "f", where)
-    if not count:
+def _check_swap(grid_size: int, arrays: Arrays, where: str) -> None:
+    texels = arrays["swap/texels"]
+    if not len(texels):
         return
-    if texels.min() < 0 or texels.max() >= size or texels[:, 0].max() >= MAX_VIEWS:
+    if texels.min() < 0 or texels.max() >= grid_size or texels[:, 0].max() >= MAX_VIEWS:
         raise _bad("a texel lies outside the grid", where, "swap/texels")
     if np.abs(arrays["swap/offsets"]).max() > 1:
         raise _bad("an offset is longer than a metre", where, "swap/offsets")
@@ -231,13 +276,10 @@ def _check_swap(manifest: dict[str, Any], arrays: Arrays, where: str) -> None:
         raise _bad("a quaternion has not length one", where, "swap/quaternions")
 
 
-def _check_skin(arrays: Arrays, where: str) -> None:
-    count = len(arrays["maps/texels"])
-    for name, (shape, low, high) in _SKIN.items():
-        _expect(f"skin/{name}", arrays, (count, *shape), "f", where)
-        values = arrays[f"skin/{name}"]
-        if values.min() < low or values.max() > high:
-            raise _bad(f"a value is not between {low} and {high}", where, f"skin/{name}")
+def _check_range(arrays: Arrays, name: str, low: float, high: float, where: str) -> None:
+    values = arrays[name]
+    if values.min() < low or values.max() > high:
+        raise _bad(f"a value is not between {low} and {high}", where, name)
 
 
 def _check_weights(weights: np.ndarray, tolerance: float, where: str, name: str) -> None:
@@ -245,19 +287,21 @@ def _check_weights(weights: np.ndarray, tolerance: float, where: str, name: str)
         raise _bad("skinning weights are negative, or a row does not sum to one", where, name)
 
 
-def _expect(name: str, arrays: Arrays, shape: tuple[int, ...], kind: str, where: str) -> None:
-    array = _named(name, arrays, where)
-    if array.shape != shape:
-        raise _bad(f"the shape {array.shape} is not {shape}", where, name)
-    half = kind == "f" and array.dtype == np.float16 and may_be_half(name)
-    if not half and array.dtype != (np.int32 if kind == "i" else np.float32):
-        raise _bad(f"the type {array.dtype} is not the one it must have", where, name)
+def _expect(name: str, layout: Layout, shape: tuple[int, ...], kind: str, where: str) -> None:
+    _rows(name, layout, where)
+    dtype, actual = layout[name]
+    if actual != shape:
+        raise _bad(f"the shape {actual} is not {shape}", where, name)
+    allowed = {"I32"} if kind == "i" else {"F32", "F16"} if may_be_half(name) else {"F32"}
+    if dtype not in allowed:
+        raise _bad(f"the type {dtype} is not the one it must have", where, name)
 
 
-def _named(name: str, arrays: Arrays, where: str) -> np.ndarray:
-    if name not in arrays or arrays[name].ndim == 0:
+def _rows(name: str, layout: Layout, where: str) -> int:
+    """Length of a tensor's first axis."""
+    if name not in layout or not layout[name][1]:
         raise _bad("a tensor is missing", where, name)
-    return arrays[name]
+    return layout[name][1][0]
 
 
 def _is_number(value: Any) -> bool:

@@ -9,11 +9,17 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import secrets
 import shutil
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+from stages.shared.artifacts.temporary import (
+    claim,
+    claimed_folder,
+    sweep_folders,
+    sweep_once,
+    temporary_path,
+)
 from stages.shared.errors import StorageFailure
 
 WRITE_BYTES = 4 << 20
@@ -123,12 +129,18 @@ def write_file(path: Path, data: Chunks) -> None:
     chunks = [memoryview(chunk).cast("B") for chunk in _as_chunks(data)]
     with _storing(path, sum(len(chunk) for chunk in chunks)):
         descriptor = _layer.create(path)
-        try:
-            for chunk in chunks:
-                _write_all(descriptor, chunk)
-            _layer.flush(descriptor)
-        finally:
-            os.close(descriptor)
+    try:
+        _fill(path, descriptor, chunks)
+    finally:
+        os.close(descriptor)
+
+
+def _fill(path: Path, descriptor: int, chunks: list[memoryview]) -> None:
+    """Write and flush the chunks; `path` is named where that fails."""
+    with _storing(path, sum(len(chunk) for chunk in chunks)):
+        for chunk in chunks:
+            _write_all(descriptor, chunk)
+        _layer.flush(descriptor)
 
 
 def _as_chunks(data: Chunks) -> Iterable[bytes | bytearray | memoryview]:
@@ -142,22 +154,39 @@ def _write_all(descriptor: int, data: memoryview) -> None:
 
 
 def write_whole(path: Path, data: Chunks) -> None:
-    """Write a file whole or not at all: temporary file beside it, flush, rename, flush the folder.
+    """Write a file whole or not at all: temporary file in the same folder, flush, rename, flush the folder.
 
     Folders that are missing are made. What stood at `path` before is replaced, or untouched on failure.
+    Temporary files that killed processes left in the folder are removed.
 
     Raises:
         StorageFailure: disk full, no permission, medium error.
     """
     path = Path(path)
     make_folders(path.parent)
-    temporary = path.parent / f".{path.name}.tmp-{secrets.token_hex(6)}"
+    with _storing(path):
+        sweep_once(path.parent)
+    chunks = [memoryview(chunk).cast("B") for chunk in _as_chunks(data)]
+    with _storing(path, sum(len(chunk) for chunk in chunks)):
+        temporary, descriptor = _create_temporary(path)
     try:
-        write_file(temporary, data)
+        _fill(temporary, descriptor, chunks)
         rename(temporary, path)
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
+    finally:
+        os.close(descriptor)  # the lock on the temporary is held until it has its name
+
+
+def _create_temporary(path: Path) -> tuple[Path, int]:
+    """A new temporary file for `path`, locked, and its descriptor."""
+    while True:
+        temporary = temporary_path(path)
+        descriptor = _layer.create(temporary)
+        if claim(descriptor, temporary):
+            return temporary, descriptor
+        os.close(descriptor)
 
 
 def append_whole(path: Path, line: bytes) -> None:
@@ -239,17 +268,19 @@ def whole_folder(path: Path) -> Iterator[Path]:
     """
     path = Path(path)
     make_folders(path.parent)
-    temporary = path.parent / f".{path.name}.tmp-{secrets.token_hex(6)}"
-    make_folders(temporary)
-    try:
-        yield temporary
-        for file in sorted(temporary.rglob("*")):
-            if file.is_file():
-                flush_file(file)
-        replace_folder(temporary, path, aside=temporary.with_name(temporary.name + "-old"))
-    except BaseException:
-        remove_folder(temporary)
-        raise
+    with contextlib.ExitStack() as stack:
+        with _storing(path):
+            sweep_folders(path)
+            temporary = stack.enter_context(claimed_folder(path))
+        try:
+            yield temporary
+            for file in sorted(temporary.rglob("*")):
+                if file.is_file():
+                    flush_file(file)
+            replace_folder(temporary, path, aside=temporary.with_name(temporary.name + "-old"))
+        except BaseException:
+            remove_folder(temporary)
+            raise
 
 
 def replace_folder(source: Path, target: Path, aside: Path) -> None:

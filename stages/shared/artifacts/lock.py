@@ -139,7 +139,7 @@ def _locked(workspace: Path, owner: dict[str, str | int]) -> Locked:
     process, host = owner.get("process", "unknown"), owner.get("host", "unknown")
     since = f" since {owner['started']}" if "started" in owner else ""
     return Locked(
-        f"Process {process} on host {host} is writing to this subject{since}.",
+        f"Process {process} on host {host} is writing to this folder{since}.",
         str(workspace / LOCK_NAME),
         "Wait until it is done, or stop that process, then run the same command again.",
     )

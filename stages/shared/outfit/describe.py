@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 from stages.shared.artifacts.bundle import BundleCard
@@ -64,9 +63,3 @@ def fit(garment: BundleCard, body: BundleCard) -> str:
         source = garment.manifest["training"].get("source")
         return "own" if source and source == body.manifest["training"].get("source") else "fits"
     return "converted" if "joints" in garment.tensors else "no"
-
-
-def conflicts(garments: Sequence[BundleCard]) -> list[str]:
-    """Slots that more than one of the garments takes up."""
-    taken = [slot for card in garments for slot in card.manifest["slots"]]
-    return sorted({slot for slot in taken if taken.count(slot) > 1})

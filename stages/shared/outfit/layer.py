@@ -15,6 +15,7 @@ from stages.shared.artifacts.bundle_precision import whole
 from stages.shared.avatar.decoders.base import Decoder
 from stages.shared.avatar.decoders.registry import load_decoder
 from stages.shared.avatar.maps import LayerMaps
+from stages.shared.errors import BadData
 from stages.shared.layers import SLOTS, label_of
 
 
@@ -74,14 +75,29 @@ class WornLayer:
         return label_of(self.name)
 
 
-def layer_of_bundle(bundle: Bundle) -> WornLayer:
-    """The layer in a bundle. Raises BadData where model and maps do not fit."""
+def check_bundle_model(bundle: Bundle, where: str) -> None:
+    """Raise BadData unless the model's tensors have the shapes that its configuration and maps ask for."""
+    layer_of_bundle(bundle, where)
+
+
+def layer_of_bundle(bundle: Bundle, where: str = "bundle") -> WornLayer:
+    """The layer in a bundle.
+
+    Arguments:
+        where: the file, for messages.
+
+    Raises:
+        BadData: model, tensors and maps do not fit together.
+    """
     manifest, bundle = bundle.manifest, replace(bundle, arrays=whole(bundle.arrays))
     grid = manifest["grid"]
     maps = LayerMaps.from_arrays(
         bundle.layer, bundle.group("maps"), grid["pitch"], grid["centre"], grid["size"]
     )
-    model = _model(manifest["model"], maps, bundle.group("model"))
+    try:
+        model = _model(manifest["model"], maps, bundle.group("model"))
+    except BadData as error:
+        raise BadData(error.what, f"{where}, {error.where}", error.fix) from error
     beneath = None
     swap = bundle.group("swap")
     if swap and len(swap["texels"]):

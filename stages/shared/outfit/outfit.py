@@ -132,7 +132,7 @@ def outfit_of_bundles(
     _check_slots(garments)
     ordered = sorted(garments, key=lambda item: LAYERS.index(item[1].layer))
     model = BodyModel.from_arrays(body.group("body"), body_name)
-    wearer = layer_of_bundle(body)
+    wearer = layer_of_bundle(body, body_name)
     layers = (wearer, *(_fitting(name, bundle, body, wearer, model) for name, bundle in ordered))
     swaps = [plan_swap(layers[0], layer) for layer in layers[1:]] if swap else []
     pushes = [plan_push(layers[0], layer) for layer in layers[1:]] if push else []
@@ -160,7 +160,7 @@ def outfit_of_training(registered: Artifact, baked: Artifact, trained: Artifact)
 def _fitting(name: str, garment: Bundle, body: Bundle, wearer: WornLayer, model: BodyModel) -> WornLayer:
     """A garment's layer, carried over to the wearer's body model where it was made with another one."""
     if garment.manifest["body_model"]["digest"] == body.manifest["body_model"]["digest"]:
-        return layer_of_bundle(garment)
+        return layer_of_bundle(garment, name)
     if not convertible(garment):
         raise BadData(
             f"{name} was made with another body model than the body, and does not say where its bones were.",
@@ -168,7 +168,7 @@ def _fitting(name: str, garment: Bundle, body: Bundle, wearer: WornLayer, model:
             "Export it again with this version of gw, or train both with one body model "
             "(gw register-template --body-model).",
         )
-    return rebound(layer_of_bundle(garment), garment.arrays["joints"], wearer, model)
+    return rebound(layer_of_bundle(garment, name), garment.arrays["joints"], wearer, model)
 
 
 def _the_body(named: Sequence[tuple[str, Bundle]]) -> tuple[str, Bundle]:

@@ -7,20 +7,23 @@ outfit.json             {"format": "gw-outfit", "version": 1, "pieces": [{"name"
 
 from __future__ import annotations
 
-import itertools
+import contextlib
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from stages.shared.artifacts.bundle import BundleCard, read_bundle, read_card
+from stages.shared.artifacts.bundle import BundleCard, decode_bundle, read_bundle_bytes, read_card
 from stages.shared.artifacts.canonical import readable_json
 from stages.shared.artifacts.files import make_folders, write_whole
+from stages.shared.artifacts.lock import holding
 from stages.shared.artifacts.pictures import encode_png
+from stages.shared.artifacts.temporary import sweep_files
 from stages.shared.errors import BadData, GwError, MissingInput, UsageProblem
 from stages.shared.input_files import read_json
-from stages.shared.outfit.describe import conflicts, fit
+from stages.shared.outfit.describe import fit
+from stages.shared.outfit.layer import check_bundle_model
 
 OUTFIT_FORMAT = "gw-outfit"
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
@@ -64,25 +67,48 @@ def add_piece(folder: Path, source: Path, name: str = "") -> Piece:
         raise UsageProblem(
             f"{name!r} cannot be the name of a piece.", "option --name", "Use letters, digits, _ . and -."
         )
-    bundle = read_bundle(source)
+    data = read_bundle_bytes(source)
+    bundle = decode_bundle(data, str(source))
+    check_bundle_model(bundle, str(source))
     path = folder / f"{name}.gwg"
-    if path.exists() and read_card(path).digest != bundle.digest:
-        raise UsageProblem(
-            f"The wardrobe has another {name}.",
-            str(path),
-            "Give it another --name, or remove that first.",
-        )
-    make_folders(folder / "previews")
-    write_whole(path, source.read_bytes())
-    write_whole(folder / "previews" / f"{name}.png", encode_png(bundle.arrays["preview"]))
+    with _writing(folder):
+        if path.exists() and _digest(path) != bundle.digest:
+            raise UsageProblem(
+                f"The wardrobe has another {name}.",
+                str(path),
+                "Give it another --name, or remove that first.",
+            )
+        make_folders(folder / "previews")
+        # The preview first: a piece that is there has its picture, whenever a kill comes.
+        write_whole(folder / "previews" / f"{name}.png", encode_png(bundle.arrays["preview"]))
+        write_whole(path, data)
     return Piece(name, path, read_card(path))
+
+
+def _writing(folder: Path) -> contextlib.AbstractContextManager[None]:
+    """Be the only writer of a wardrobe; what killed processes left in it is removed first."""
+
+    def clear() -> None:
+        for part in (folder, folder / "previews"):
+            sweep_files(part)
+
+    return holding(folder, clear)
+
+
+def _digest(path: Path) -> str:
+    """Digest of a bundle that stands in the wardrobe; "" for one that cannot be used."""
+    try:
+        return read_card(path).digest
+    except BadData:
+        return ""
 
 
 def remove_piece(folder: Path, name: str) -> Path:
     """Take a piece out of the wardrobe; returns the path it had. Raises MissingInput."""
     path = _named(folder, name).path
-    path.unlink()
-    (folder / "previews" / f"{path.stem}.png").unlink(missing_ok=True)
+    with _writing(folder):
+        path.unlink(missing_ok=True)
+        (folder / "previews" / f"{path.stem}.png").unlink(missing_ok=True)
     return path
 
 
@@ -91,20 +117,51 @@ def chosen_pieces(folder: Path, names: Sequence[str]) -> list[Path]:
     return [_named(folder, name).path for name in names]
 
 
-def sensible_outfits(found: Sequence[Piece]) -> list[tuple[Piece, ...]]:
-    """Every body with every set of garments that fit it and do not take the same slot; bodies first."""
-    whole = [piece for piece in found if piece.card is not None]
-    bodies = [piece for piece in whole if piece.card and piece.card.manifest["kind"] == "body"]
-    garments = [piece for piece in whole if piece.card and piece.card.manifest["kind"] == "garment"]
-    outfits = []
+def sensible_outfits(catalogue: Sequence[Piece]) -> Iterator[tuple[Piece, ...]]:
+    """Every body with every set of garments that fit it and do not take the same slot.
+
+    Yields bodies in order, each first alone, then with one garment, then with two, and so on. Sets that
+    conflict are never enumerated: the work is that of the outfits that come out.
+    """
+    bodies = [piece for piece in catalogue if piece.card and piece.card.manifest["kind"] == "body"]
+    garments = [piece for piece in catalogue if piece.card and piece.card.manifest["kind"] == "garment"]
     for body in bodies:
-        assert body.card is not None
-        wearable = [piece for piece in garments if piece.card and fit(piece.card, body.card) != "no"]
-        for count in range(len(wearable) + 1):
-            for worn in itertools.combinations(wearable, count):
-                if not conflicts([piece.card for piece in worn if piece.card]):
-                    outfits.append((body, *worn))
-    return outfits
+        wearable = [piece for piece in garments if fit(_card(piece), _card(body)) != "no"]
+        # (garments, index of the first that may join, slots that are taken) of all sets of one size
+        sets: list[tuple[tuple[Piece, ...], int, frozenset[str]]] = [((), 0, frozenset())]
+        while sets:
+            larger = []
+            for worn, start, taken in sets:
+                yield (body, *worn)
+                for index in range(start, len(wearable)):
+                    slots = frozenset(_card(wearable[index]).manifest["slots"])
+                    if not slots & taken:
+                        larger.append(((*worn, wearable[index]), index + 1, taken | slots))
+            sets = larger
+
+
+def count_outfits(catalogue: Sequence[Piece]) -> int:
+    """Number of `sensible_outfits`, without making them: garments are counted by the slots that they take."""
+    garments = [piece for piece in catalogue if piece.card and piece.card.manifest["kind"] == "garment"]
+    total = 0
+    for body in catalogue:
+        if body.card is None or body.card.manifest["kind"] != "body":
+            continue
+        ways = {frozenset[str](): 1}  # slots that are taken -> number of sets that take them
+        for garment in garments:
+            if fit(_card(garment), body.card) == "no":
+                continue
+            slots = frozenset(_card(garment).manifest["slots"])
+            for taken, number in list(ways.items()):
+                if not slots & taken:
+                    ways[taken | slots] = ways.get(taken | slots, 0) + number
+        total += sum(ways.values())
+    return total
+
+
+def _card(piece: Piece) -> BundleCard:
+    assert piece.card is not None
+    return piece.card
 
 
 def save_outfit(path: Path, bundles: Sequence[Path], betas: Sequence[float] | None = None) -> None:

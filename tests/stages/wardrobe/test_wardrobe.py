@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import threading
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +17,9 @@ from typer.testing import CliRunner
 
 from gw_cli.app import app
 from stages.shared.artifacts.bundle import read_bundle, read_card, write_bundle
-from stages.shared.outfit.describe import conflicts, fit
-from stages.shared.outfit.wardrobe import pieces, sensible_outfits
+from stages.shared.outfit.describe import fit
+from stages.shared.outfit.wardrobe import add_piece, count_outfits, pieces, sensible_outfits
+from tests.hostile.forge import forged
 from tests.shared.outfit.wardrobe import bundle, worn
 
 
@@ -78,7 +82,7 @@ def test_list_shows_pieces_and_what_fits(closet: Path) -> None:
     run("wardrobe", "list", closet / "none", code=66)
 
 
-def test_fit_and_conflicts(tmp_path: Path) -> None:
+def test_fit_and_sensible_outfits(tmp_path: Path) -> None:
     cards = {}
     for name, made in {
         "body": bundle(worn("body", source="one")),
@@ -90,10 +94,9 @@ def test_fit_and_conflicts(tmp_path: Path) -> None:
         write_bundle(tmp_path / f"{name}.gwg", made)
         cards[name] = read_card(tmp_path / f"{name}.gwg")
     assert [fit(cards[name], cards["body"]) for name in ("own", "other", "far")] == ["own", "fits", "no"]
-    assert conflicts([cards["own"], cards["dress"]]) == ["upper"]
-    assert conflicts([cards["own"], cards["far"]]) == []
     names = {tuple(piece.name for piece in worn_) for worn_ in sensible_outfits(pieces(tmp_path))}
     # `far` does not fit, `dress` takes both slots, two uppers exclude each other.
+    assert count_outfits(pieces(tmp_path)) == len(names)
     assert names == {("body",), ("body", "dress"), ("body", "other"), ("body", "own")}
 
 
@@ -166,3 +169,104 @@ def test_all_outfits_on_one_sheet(closet: Path, tmp_path: Path) -> None:
     assert cv2.imread(str(tmp_path / "all/outfits.png")).shape[1] == 4 * 96
     run("wardrobe", "outfits", closet, "-o", tmp_path / "none", "--most", 3, code=2)
     assert not (tmp_path / "none").exists()
+
+
+@pytest.mark.parametrize("garments", [20, 60])
+def test_outfits_of_many_garments_for_one_slot_are_counted_at_once(
+    garments: int, wardrobe: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "many"
+    folder.mkdir()
+    shutil.copyfile(wardrobe / "body.gwg", folder / "body.gwg")
+    for index in range(garments):
+        shutil.copyfile(wardrobe / "upper.gwg", folder / f"g{index:02d}.gwg")
+    assert count_outfits(pieces(folder)) == garments + 1
+    error = run("wardrobe", "outfits", folder, "-o", tmp_path / "out", "--most", 10, code=2)["error"]
+    assert f"{garments + 1} outfits" in error
+
+
+def test_counted_outfits_are_those_that_are_listed(wardrobe: Path, tmp_path: Path) -> None:
+    write_bundle(tmp_path / "dress.gwg", bundle(worn("lower"), slots=("lower", "upper")))
+    write_bundle(tmp_path / "coat.gwg", bundle(worn("outer"), slots=("upper", "outer")))
+    for name in ("body", "lower", "upper"):
+        shutil.copyfile(wardrobe / f"{name}.gwg", tmp_path / f"{name}.gwg")
+        shutil.copyfile(wardrobe / f"{name}.gwg", tmp_path / f"{name}2.gwg")
+    catalogue = pieces(tmp_path)
+    listed = list(sensible_outfits(catalogue))
+    assert count_outfits(catalogue) == len(listed) == len({tuple(p.name for p in worn_) for worn_ in listed})
+    for outfit in listed:
+        slots = [slot for piece in outfit if piece.card for slot in piece.card.manifest["slots"]]
+        assert len(slots) == len(set(slots))
+
+
+def test_one_of_two_adds_of_one_name_wins(closet: Path, wardrobe: Path) -> None:
+    """Whoever comes while another process adds is refused, and whoever comes later finds the name taken."""
+    from stages.shared.artifacts.lock import holding
+
+    held, release = threading.Event(), threading.Event()
+
+    def other() -> None:
+        with holding(closet):
+            held.set()
+            release.wait(10)
+
+    process = threading.Thread(target=other)
+    process.start()
+    held.wait(10)
+    run("wardrobe", "add", closet, wardrobe / "lower.gwg", "--name", "thing", code=75)
+    run("wardrobe", "remove", closet, "lower", code=75)
+    release.set()
+    process.join()
+    run("wardrobe", "add", closet, wardrobe / "lower.gwg", "--name", "thing")
+    run("wardrobe", "add", closet, wardrobe / "upper.gwg", "--name", "thing", code=2)
+    assert read_card(closet / "thing.gwg").digest == read_card(wardrobe / "lower.gwg").digest
+
+
+def test_left_overs_of_a_killed_add_are_removed(closet: Path, wardrobe: Path) -> None:
+    left = [closet / ".vest.gwg.tmp-0123456789ab", closet / "previews/.vest.png.tmp-ba9876543210"]
+    mine = [closet / ".notes.tmp-mine", closet / "previews/.keep"]
+    for path in (*left, *mine):
+        path.write_bytes(b"half")
+    assert add_piece(closet, wardrobe / "lower.gwg", "vest").name == "vest"
+    assert not any(path.exists() for path in left) and all(path.exists() for path in mine)
+
+
+BAD_CARDS: dict[str, Any] = {
+    "scores a list": {"training": {"scores": [1, 2]}},
+    "score not finite": {"training": {"scores": {"psnr": 1e400}}},
+    "source a number": {"training": {"source": 3}},
+    "costs a text": {"costs": "cheap"},
+    "model without texels": {"model": {}},
+    "model decoder": {"model": {"decoder": ["x"], "texels": 4}},
+    "body model a list": {"body_model": []},
+}
+
+
+@pytest.mark.parametrize("case", BAD_CARDS)
+def test_one_bad_file_does_not_hide_the_others(case: str, closet: Path, wardrobe: Path) -> None:
+    bad = closet / "bad.gwg"
+    bad.write_bytes(forged(read_bundle(wardrobe / "upper.gwg"), BAD_CARDS[case]))
+    assert "error" in run("inspect", bad, code=65) and "error" in run("verify", bad, code=65)
+    shown = {piece["name"]: piece for piece in run("wardrobe", "list", closet)["pieces"]}
+    assert "problem" in shown["bad"] and {"body", "lower", "upper"} <= {
+        name for name, piece in shown.items() if "problem" not in piece
+    }
+
+
+@pytest.mark.parametrize("missing", ["maps/texels", "betas", "preview", "maps/skin_weights"])
+def test_inspect_refuses_a_file_without_a_tensor_that_every_bundle_has(
+    missing: str, closet: Path, wardrobe: Path
+) -> None:
+    bundle_ = read_bundle(wardrobe / "upper.gwg")
+    arrays = {name: array for name, array in bundle_.arrays.items() if name != missing}
+    (closet / "bad.gwg").write_bytes(forged(replace(bundle_, arrays=arrays), {}))
+    assert missing in run("inspect", closet / "bad.gwg", code=65)["error"]
+    assert any("problem" in piece for piece in run("wardrobe", "list", closet)["pieces"])
+
+
+def test_pipes_and_folders_are_no_bundles(closet: Path) -> None:
+    os.mkfifo(closet / "pipe.gwg")
+    (closet / "folder.gwg").mkdir()
+    shown = {piece["name"]: piece for piece in run("wardrobe", "list", closet)["pieces"]}
+    assert "pipe or a device" in shown["pipe"]["problem"] and "problem" in shown["folder"]
+    run("inspect", closet / "pipe.gwg", code=65)

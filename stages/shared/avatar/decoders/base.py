@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import torch
 from torch import Tensor, nn
 
+from stages.shared.artifacts.bundle_model import check_model
 from stages.shared.avatar.config import ModelConfig
 from stages.shared.avatar.decoders.texel_attributes import CHANNELS, MIN_SCALE, initial_attributes
 from stages.shared.avatar.deform import Attributes, unit_quaternions
@@ -108,19 +109,22 @@ class Decoder(nn.Module, ABC):
         Raises BadData where configuration, maps and tensors do not fit together.
         """
         where = f"model of layer {maps.layer}"
-        known = {field.name for field in fields(ModelConfig)}
-        unknown = sorted(config.keys() - known - {"layer", "texels"})
-        if unknown or config.get("texels") != len(maps):
-            problem = f"unknown setting {unknown[0]!r}" if unknown else "number of texels"
-            raise BadData(f"The model does not fit its maps ({problem}).", where, "Export or train it again.")
-        model = make(ModelConfig(**{name: config[name] for name in known if name in config}))
-        expected = {name: tuple(tensor.shape) for name, tensor in model.state_dict().items()}
+        check_model(config, where)
+        if config.get("texels") != len(maps):
+            raise BadData(
+                "The model does not fit its maps (number of texels).", where, "Export or train it again."
+            )
+        names = [field.name for field in fields(ModelConfig)]
+        model_config = ModelConfig(**{name: config[name] for name in names if name in config})
+        with torch.device("meta"):  # shapes only: nothing that a file asks for is allocated before it fits
+            expected = {name: tuple(tensor.shape) for name, tensor in make(model_config).state_dict().items()}
         given = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
         if expected != given:
             name = sorted(expected.items() ^ given.items())[0][0]
             raise BadData(
                 f"The tensor {name!r} is missing, extra or of a wrong shape.", where, "Train it again."
             )
+        model = make(model_config)
         model.load_state_dict(tensors)
         return model
 

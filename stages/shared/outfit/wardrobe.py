@@ -23,7 +23,6 @@ from stages.shared.artifacts.temporary import sweep_files
 from stages.shared.errors import BadData, GwError, MissingInput, UsageProblem
 from stages.shared.input_files import read_json
 from stages.shared.outfit.describe import fit
-from stages.shared.outfit.layer import check_bundle_model
 
 OUTFIT_FORMAT = "gw-outfit"
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
@@ -62,6 +61,8 @@ def add_piece(folder: Path, source: Path, name: str = "") -> Piece:
     Raises:
         UsageProblem: a name that is none, or taken by another bundle. BadData: the bundle is damaged.
     """
+    from stages.shared.outfit.layer import check_bundle_model  # needs torch, which names alone do not
+
     name = name or source.stem
     if not _NAME.fullmatch(name):
         raise UsageProblem(

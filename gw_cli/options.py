@@ -85,6 +85,12 @@ Swap = Annotated[
 Penetration = Annotated[
     bool, typer.Option(help="Repair pixels where an inner layer pokes through a garment.")
 ]
+Drive = Annotated[
+    str,
+    typer.Option(
+        help="What moves garments: auto | bones | learned | simulated, or by layer: lower=bones,upper=learned."
+    ),
+]
 Push = Annotated[bool, typer.Option(help="Let garments give way where the body is larger.")]
 Restore = Annotated[bool, typer.Option(help="Let skin that clothes used to cover look like the skin around.")]
 Ground = Annotated[bool, typer.Option(help="Keep the feet on the floor when legs are longer or shorter.")]

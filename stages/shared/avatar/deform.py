@@ -127,14 +127,21 @@ def view_cosines(maps: LayerMaps, transforms: Tensor, betas: Tensor, eye: Tensor
     return (carried * towards).sum(dim=1)
 
 
-def pose_layer(maps: LayerMaps, attributes: Attributes, transforms: Tensor, betas: Tensor) -> PosedGaussians:
+def pose_layer(
+    maps: LayerMaps,
+    attributes: Attributes,
+    transforms: Tensor,
+    betas: Tensor,
+    texel_matrices: Tensor | None = None,
+) -> PosedGaussians:
     """Deform one layer.
 
     Arguments:
         maps: baked maps (N texels). attributes: canonical attributes of the same texels.
         transforms: (55, 4, 4) posed_from_canonical, canonical to world. betas: (10,) shape.
+        texel_matrices: (N, 3, 4) posed_from_canonical of every texel, in place of blended `transforms`.
     """
-    matrices = blended(maps.skin_weights, transforms)
+    matrices = blended(maps.skin_weights, transforms) if texel_matrices is None else texel_matrices
     means = moved(shaped_positions(maps, betas) + attributes.offsets, matrices)
     spread = matrices[:, :, :3] @ (rotation_matrices(attributes.quaternions) * attributes.scales[:, None, :])
     covariances = spread @ spread.transpose(1, 2)

@@ -33,6 +33,9 @@ LEAST_WEIGHT = 1e-6  # a bone with less moves a texel by less than a thousandth 
 _CHANNELS = np.array([channel for group in BASIS_GROUPS for channel in group_channels(group)])
 
 Floats = NDArray[np.float32]
+Ints = NDArray[np.int32]
+Skinning = tuple[Ints, Ints, Floats, Floats]
+"""Where each texel's bones start (N + 1,), the bones, their weights, and the bones' matrices (·, 3, 4)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +73,7 @@ class PosedLayer:
         model: of the layer. betas: (10,) shape of the wearer.
         replacements: swaps beneath garments, applied in this order.
         kept: (N,) texels that are posed, None for all; buffers then hold these alone, in order.
+        residual: (N, 14) in place of the model's own in all poses; None for the model's.
     """
 
     def __init__(
@@ -78,12 +82,13 @@ class PosedLayer:
         betas: Tensor,
         replacements: tuple[Replacement, ...] = (),
         kept: NDArray[np.bool_] | None = None,
+        residual: Tensor | None = None,
     ) -> None:
         config, self.model = model.model_config, model
         rows = None if kept is None else torch.from_numpy(np.flatnonzero(kept))
         self.count = len(model.maps) if rows is None else len(rows)
-        self._rows, self.history = rows, config.history
-        linear = model.linear_residual()
+        self._rows, self.history = rows, config.history if residual is None else 0
+        linear = model.linear_residual() if residual is None else LinearResidual(residual)
         self._linear = linear
         self.bases = _blocks(linear, self.count, rows)
         self._mean_residual = None if linear is None else _chosen(linear.mean, rows)
@@ -92,8 +97,11 @@ class PosedLayer:
             [getattr(model, f"base_{name}").detach().reshape(len(model.maps), -1) for name in CHANNELS], 1
         )
         self.base = _chosen(base, rows).contiguous().numpy()
-        self.first, self.bones, self.weights = _sparse(_chosen(model.maps.skin_weights, rows).numpy())
-        self._followed = torch.from_numpy(np.unique(self.bones).astype(np.int64))
+        self.bones = _sparse(_chosen(model.maps.skin_weights, rows).numpy())
+        self._followed = torch.from_numpy(np.unique(self.bones[1]).astype(np.int64))
+        # With a matrix per texel, every texel follows a bone of its own.
+        each = np.arange(self.count + 1, dtype=np.int32)
+        self._texels = (each, each[:-1], np.ones(self.count, np.float32))
         self.limits = np.array(
             [
                 config.offset_scale,
@@ -109,47 +117,61 @@ class PosedLayer:
         self._looks: tuple[Floats, Floats] | None = None
         self.replacements = _stacked(replacements, len(model.maps), kept)
 
-    def pose(self, pose: FramePose, out: PosedBuffers, motion: Tensor | None = None) -> None:
+    def pose(
+        self,
+        pose: FramePose,
+        out: PosedBuffers,
+        motion: Tensor | None = None,
+        texel_matrices: Tensor | None = None,
+    ) -> None:
         """Pose the layer.
 
         Arguments:
             pose: of the frame; its betas are not used. out: overwritten.
             motion: `recent_motion`, None for a still pose or a model without history.
+            texel_matrices: (N, 3, 4) posed_from_canonical of every texel, in place of the pose's bones.
         """
-        matrices = np.ascontiguousarray(pose.transforms.numpy()[:, :3, :], dtype=np.float32)
-        if self.constant:
-            self._carry(matrices, out)
+        if texel_matrices is None:
+            matrices = pose.transforms.numpy()[:, :3, :]
+            skinning = (*self.bones, np.ascontiguousarray(matrices, dtype=np.float32))
         else:
-            self._pose_all(pose, matrices, out, motion, *(np.zeros((0, k), np.float32) for k in (3, 4, 3)))
-
-    def depends_on(self, pose: FramePose, motion: Tensor | None) -> tuple[Tensor, ...]:
-        """What a pose of this layer is made of: the same numbers, the same Gaussians."""
+            matrices = _chosen(texel_matrices, self._rows).numpy()
+            skinning = (*self._texels, np.ascontiguousarray(matrices, dtype=np.float32))
         if self.constant:
-            return (pose.transforms[self._followed],)
-        return (pose.transforms, pose.local_transforms, *(() if motion is None else (motion,)))
+            self._carry(skinning, out)
+        else:
+            self._pose_all(pose, skinning, out, motion, *(np.zeros((0, k), np.float32) for k in (3, 4, 3)))
 
-    def _carry(self, matrices: Floats, out: PosedBuffers) -> None:
+    def depends_on(
+        self, pose: FramePose, motion: Tensor | None, texel_matrices: Tensor | None = None
+    ) -> tuple[Tensor, ...]:
+        """What a pose of this layer is computed from: the same numbers give the same Gaussians."""
+        if self.constant:
+            return (pose.transforms[self._followed] if texel_matrices is None else texel_matrices,)
+        matrices = pose.transforms if texel_matrices is None else texel_matrices
+        return (matrices, pose.local_transforms, *(() if motion is None else (motion,)))
+
+    def _carry(self, skinning: Skinning, out: PosedBuffers) -> None:
         if self._canonical is None:  # two threads may both find it: the same numbers
             kept = tuple(np.empty((self.count, k), np.float32) for k in (3, 4, 3))
             looks = PosedBuffers(
                 np.empty_like(out.means), np.empty_like(out.covariances),
                 np.empty(self.count, np.float32), np.empty((self.count, 3), np.float32),
             )  # fmt: skip
-            self._pose_all(None, matrices, looks, None, *kept)
+            self._pose_all(None, skinning, looks, None, *kept)
             self._looks, self._canonical = (looks.opacities, looks.colors), kept  # type: ignore[assignment]
         assert self._canonical is not None and self._looks is not None
         if not out.painted:
             out.opacities[:], out.colors[:] = self._looks
             out.painted.append(True)
         run_together(
-            carry_texels, *self._canonical, self.first, self.bones, self.weights, matrices,
-            out.means, out.covariances,
+            carry_texels, *self._canonical, *skinning, out.means, out.covariances,
         )  # fmt: skip
 
     def _pose_all(
         self,
         pose: FramePose | None,
-        matrices: Floats,
+        skinning: Skinning,
         out: PosedBuffers,
         motion: Tensor | None,
         *kept: Floats,
@@ -164,7 +186,7 @@ class PosedLayer:
         run_together(
             pose_texels, residual.numpy(), coefficients.numpy(), *self.bases, _CHANNELS,
             self.base, self.limits, self.bounded, self.rest,
-            self.first, self.bones, self.weights, matrices, *self.replacements,
+            *skinning, *self.replacements,
             out.means, out.covariances, out.opacities, out.colors, *kept,
         )  # fmt: skip
 

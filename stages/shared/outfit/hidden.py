@@ -52,6 +52,7 @@ def plan_hidden(outfit: Outfit, poses: Poses, rows: Sequence[int]) -> NDArray[np
     if player.plain:
         return None
     some = np.unique(np.linspace(0, len(rows) - 1, MOST_POSES).round().astype(int))
+    outfit.prepare(poses, sorted(rows[index] for index in some))
     for row in (rows[index] for index in some):
         composite = player.composite(poses, row)
         for camera in _cameras(outfit, poses, row):

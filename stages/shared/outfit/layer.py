@@ -58,6 +58,7 @@ class WornLayer:
         source: digest of the training it comes from, to tell pieces that were learned together.
         beneath: of a garment, when its bundle carries it. skin: of a body, the same.
         layer_ids: (N,) index into LAYERS of every texel, where a baseline's layer holds several.
+        drive: what "auto" means for it, of `driver.DRIVES`.
     """
 
     name: str
@@ -68,6 +69,7 @@ class WornLayer:
     beneath: Beneath | None = None
     skin: Skin | None = None
     layer_ids: Tensor | None = None
+    drive: str = "learned"
 
     @property
     def label(self) -> int:

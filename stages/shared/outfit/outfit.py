@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -18,6 +18,7 @@ from stages.shared.avatar.pose import frame_pose
 from stages.shared.body import BodyModel, Poses
 from stages.shared.errors import BadData, UsageProblem
 from stages.shared.layers import BASELINE_LAYERS, BODY, LAYERS
+from stages.shared.outfit.driver import LEARNED, GarmentDriver, choose_drivers
 from stages.shared.outfit.layer import WornLayer, layer_of_bundle, layer_of_training
 from stages.shared.outfit.push import Push, plan_push
 from stages.shared.outfit.rebind import convertible, rebound
@@ -38,6 +39,7 @@ class Outfit:
         swaps: changes of the body's form beneath garments of other people.
         pushes: how garments of other people give way to the body.
         restoration: of skin that was covered when the body was learned and is bare now.
+        drivers: of layers whose texels are not moved by their decoder and the bones.
     """
 
     body_model: BodyModel
@@ -46,6 +48,24 @@ class Outfit:
     swaps: tuple[Swap, ...] = ()
     pushes: tuple[Push, ...] = ()
     restoration: Restoration | None = None
+    drivers: Mapping[str, GarmentDriver] = field(default_factory=dict)
+
+    def driven(self, drive: str) -> Outfit:
+        """The outfit with the drivers that `choose_drivers` names; they fit these layers and this shape.
+
+        Raises:
+            UsageProblem: as `choose_drivers`.
+        """
+        return replace(self, drivers=choose_drivers(self.layers, drive))
+
+    def prepare(self, poses: Poses, rows: Sequence[int]) -> None:
+        """Tell the drivers which rows of a motion will be posed, in ascending order."""
+        for driver in self.drivers.values():
+            driver.prepare(poses, rows)
+
+    def driver(self, layer: WornLayer) -> GarmentDriver:
+        """What moves a layer."""
+        return self.drivers.get(layer.name, LEARNED)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -69,12 +89,17 @@ class Outfit:
         posed: dict[str, PosedGaussians] = {}
         pushes = {push.garment: push for push in self.pushes}
         for layer in self.layers:
-            history = layer.model.model_config.history
-            motion = recent_motion(poses, frame, history) if history else None
-            attributes = layer.model(pose.local_transforms, motion=motion)
+            driver = self.driver(layer)
+            residual = driver.residual
+            if residual is None:
+                history = layer.model.model_config.history
+                motion = recent_motion(poses, frame, history) if history else None
+                residual = layer.model.residual(pose.local_transforms, motion=motion)
+            attributes = layer.model.attributes(residual)
             if layer.name == BODY:
                 attributes = swapped(restored(attributes, self.restoration), list(self.swaps))
-            posed[layer.name] = pose_layer(layer.maps, attributes, pose.transforms, pose.betas)
+            matrices = driver.matrices(poses, frame)
+            posed[layer.name] = pose_layer(layer.maps, attributes, pose.transforms, pose.betas, matrices)
             if layer.name in pushes:
                 posed[layer.name] = pushes[layer.name].applied(posed[layer.name], posed[BODY])
         return posed
@@ -83,7 +108,11 @@ class Outfit:
     def projected_frames(self, poses: Poses, rows: Iterable[int]) -> dict[str, int]:
         """Rows of `poses` unlike the training's, counted by layer: there the networks see a projection."""
         counts: dict[str, int] = {}
-        models = {layer.name: layer.model for layer in self.layers if layer.model.projects}
+        models = {
+            layer.name: layer.model
+            for layer in self.layers
+            if layer.model.projects and self.driver(layer).residual is None
+        }
         asked = list(rows) if models else []
         for first in range(0, len(asked), _MOMENTS):  # bones of many rows cost little more than those of one
             some = asked[first : first + _MOMENTS]

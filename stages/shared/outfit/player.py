@@ -54,7 +54,7 @@ class Player:
             else [
                 PosedLayer(layer.model, betas, changes, None if hidden is None else ~hidden)
                 if layer.name == BODY
-                else PosedLayer(layer.model, betas)
+                else PosedLayer(layer.model, betas, residual=outfit.driver(layer).residual)
                 for layer in outfit.layers
             ]
         )
@@ -87,10 +87,11 @@ class Player:
         pose = self._posed_bones(poses, frame)
         for place, (posed, out) in enumerate(zip(self._layers, self._parts, strict=True)):
             motion = self._motions[posed.history][frame % _MOMENTS] if posed.history else None
-            asked = posed.depends_on(pose, motion)
+            matrices = self.outfit.driver(self.outfit.layers[place]).matrices(poses, frame)
+            asked = posed.depends_on(pose, motion, matrices)
             if self.anew or not _same(self._standing[place], asked):
                 self._standing[place] = None  # until the buffers are whole
-                posed.pose(pose, out, motion)
+                posed.pose(pose, out, motion, matrices)
                 self._standing[place] = tuple(part.clone() for part in asked)
                 self.posed_layers += 1
         return self._composite

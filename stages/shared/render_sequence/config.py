@@ -49,6 +49,10 @@ class RenderConfig:
     restore: bool = option(
         True, "Give skin that clothes covered during training the look of the skin around it."
     )
+    drive: str = option(
+        "auto",
+        "What moves garments: auto | bones | learned | simulated, or by layer: lower=bones,upper=learned.",
+    )
     penetration: bool = option(True, "Correct pixels where an inner layer pokes through a garment.")
     ground: bool = option(True, "Keep the feet on the floor when the wearer's legs are longer or shorter.")
     cull: bool = option(True, "Leave out body Gaussians that garments hide (from 300 pictures on).")

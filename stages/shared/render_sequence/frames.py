@@ -87,6 +87,7 @@ def write_frames(
 
     with threads_restored():
         torch.set_num_threads(1)  # a frame's rounding must not depend on how many are left to render
+        outfit.prepare(poses, sorted(frame.row for frame in missing))
         hidden = _hidden_texels(outfit, poses, frames, outputs) if missing else None
         with closing(side_by_side(outfit, missing, work, at_a_time, hidden)) as results:
             for index, _ in enumerate(results):

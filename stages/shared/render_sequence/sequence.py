@@ -64,6 +64,7 @@ def open_sequence(
     outfit, subject_poses, digests = _open_outfit(sources, config)
     if config.layers:
         outfit = select_layers(outfit, config.layers)
+    outfit = outfit.driven(config.drive)
     take = None
     if cameras_path is not None:
         take = capture_take(open_capture(cameras_path, body=outfit.body_model), config.take or None)

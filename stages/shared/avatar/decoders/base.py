@@ -249,6 +249,12 @@ class Decoder(nn.Module, ABC):
         """The residual in linear form, where it has one."""
         return None
 
+    def mean_residual_of_training(self) -> Tensor:
+        """(N, 14) the residual of a pose about which nothing is known: the mean of the training, if fitted,
+        with its offsets shrunk as `mean.py` says; else zero."""
+        linear = self.linear_residual()
+        return torch.zeros(len(self.maps), 14) if linear is None else linear.mean
+
     def residual_without_key_poses(self, local_transforms: Tensor, motion: Tensor | None = None) -> Tensor:
         """`residual` without what key poses add."""
         return self.residual(local_transforms, motion=motion)

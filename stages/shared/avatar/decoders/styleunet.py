@@ -167,6 +167,9 @@ class StyleUNetDecoder(Decoder):
             return None
         return LinearResidual(torch.zeros(len(self.maps), 14))
 
+    def mean_residual_of_training(self) -> Tensor:
+        return self.mean_residual if self.anchors is not None else super().mean_residual_of_training()
+
     def fit_input(self, poses: list[Tensor], motions: list[Tensor] | None = None) -> None:
         """Normalise the networks' input over the training poses, and choose key poses among them.
 

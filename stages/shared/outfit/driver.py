@@ -1,0 +1,117 @@
+"""What moves the texels of a garment in each frame of a motion.
+
+A driver answers two questions about its layer:
+
+- the attribute residual: which correction the decoder's base attributes get. `None` lets the decoder answer
+  in every pose; a constant replaces that answer in all poses;
+- the texel matrices: posed_from_canonical of every texel, from which centres and covariances follow
+  (`deform.pose_layer`). `None` means linear blend skinning with the bones of the pose.
+
+`bones` and `learned` have no state. A driver with a state over time (simulated cloth) is told the motion in
+`prepare` and may compute ahead there. After that it is asked for single rows, in any order, and by several
+threads at a time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from torch import Tensor
+
+from stages.shared.body import Poses
+from stages.shared.errors import UsageProblem
+from stages.shared.outfit.layer import WornLayer
+
+DRIVES = ("auto", "bones", "learned", "simulated")
+
+
+class GarmentDriver(Protocol):
+    """Moves the texels of one layer."""
+
+    @property
+    def kind(self) -> str:
+        """Of `DRIVES`, for results and messages."""
+
+    @property
+    def residual(self) -> Tensor | None:
+        """(N, 14) channels as in `TexelAttributes`, used in all poses; None: the decoder's own, per pose."""
+
+    def prepare(self, poses: Poses, rows: Sequence[int]) -> None:
+        """Called from one thread before `rows` of `poses`, in ascending order, are asked for."""
+
+    def matrices(self, poses: Poses, row: int) -> Tensor | None:
+        """(N, 3, 4) f32 posed_from_canonical of every texel, canonical (with the wearer's shape) to world.
+
+        The linear part carries the covariance and need not be a rotation. None: linear blend skinning.
+        """
+
+
+@dataclass(frozen=True, eq=False)
+class SkinnedDriver:
+    """Linear blend skinning. kind: "learned" with the decoder's residual, "bones" with its constant part."""
+
+    kind: str
+    residual: Tensor | None = None
+
+    def prepare(self, poses: Poses, rows: Sequence[int]) -> None:
+        """Nothing: every pose stands alone."""
+
+    def matrices(self, poses: Poses, row: int) -> Tensor | None:
+        """None: the bones of the pose."""
+        return None
+
+
+LEARNED = SkinnedDriver("learned")
+
+
+def bones_driver(layer: WornLayer) -> SkinnedDriver:
+    """Skinning alone: all poses have the attributes of the decoder's mean over the training poses."""
+    return SkinnedDriver("bones", layer.model.mean_residual_of_training().detach())
+
+
+def choose_drivers(layers: Sequence[WornLayer], drive: str) -> dict[str, GarmentDriver]:
+    """A driver for every garment among `layers`; the body is always posed by its decoder.
+
+    Arguments:
+        drive: one of `DRIVES` for all garments, or LAYER=DRIVE pairs, as "lower=bones,upper=learned"; layers
+            that are not named are driven as "auto", which is the layer's own default.
+
+    Raises:
+        UsageProblem: an unknown drive, a layer that is not worn, a simulation that the bundle does not have.
+    """
+    garments = {layer.name: layer for layer in layers if layer.slots}
+    drives = _parse_drive(drive, garments)
+    drivers: dict[str, GarmentDriver] = {}
+    for name, layer in garments.items():
+        kind = layer.drive if drives[name] == "auto" else drives[name]
+        if kind == "simulated":
+            raise UsageProblem(
+                f"The garment {name!r} has no simulation mesh.",
+                "option --drive",
+                "Use --drive learned, or bones.",
+            )
+        drivers[name] = bones_driver(layer) if kind == "bones" else LEARNED
+    return drivers
+
+
+def _parse_drive(text: str, garments: Mapping[str, WornLayer]) -> dict[str, str]:
+    """Layer name to drive."""
+    if "=" in text:
+        pairs = [tuple(word.strip() for word in part.split("=", 1)) for part in text.split(",")]
+        drives = {**dict.fromkeys(garments, "auto"), **{pair[0]: pair[-1] for pair in pairs}}
+    else:
+        drives = dict.fromkeys(garments, text)
+    for name, kind in drives.items():
+        if name not in garments:
+            raise UsageProblem(
+                f"There is no garment {name!r}.",
+                "option --drive",
+                "Choose of: " + (", ".join(garments) or "none is worn") + ".",
+            )
+        if kind not in DRIVES:
+            raise UsageProblem(
+                f"There is no drive {kind!r}.", "option --drive", "Choose of: " + ", ".join(DRIVES) + "."
+            )
+    return drives

@@ -88,7 +88,7 @@ Penetration = Annotated[
 Drive = Annotated[
     str,
     typer.Option(
-        help="What moves garments: auto | bones | learned | simulated, or by layer: lower=bones,upper=learned."
+        help="What moves garments: auto | bones | learned | simulated; by layer: lower=bones,upper=learned."
     ),
 ]
 Push = Annotated[bool, typer.Option(help="Let garments give way where the body is larger.")]

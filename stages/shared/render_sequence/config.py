@@ -51,7 +51,7 @@ class RenderConfig:
     )
     drive: str = option(
         "auto",
-        "What moves garments: auto | bones | learned | simulated, or by layer: lower=bones,upper=learned.",
+        "What moves garments: auto | bones | learned | simulated; by layer: lower=bones,upper=learned.",
     )
     penetration: bool = option(True, "Correct pixels where an inner layer pokes through a garment.")
     ground: bool = option(True, "Keep the feet on the floor when the wearer's legs are longer or shorter.")

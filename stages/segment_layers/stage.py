@@ -37,7 +37,7 @@ from stages.shared.capture.layer_colors import has_label_images, layer_colors
 from stages.shared.capture.projection import project_labels
 from stages.shared.capture.template_views import frame_files, template_take
 from stages.shared.errors import MissingInput
-from stages.shared.layers import BODY, GARMENT_LABELS, LABELS, NO_LABEL, label_legend
+from stages.shared.layers import BODY, GARMENT_LABELS, LABELS, LAYER_OF_LABEL, NO_LABEL, label_legend
 from stages.shared.meshes.picture import two_sided_picture
 from stages.shared.meshes.raycast import RayScene
 from stages.shared.meshes.topology import vertex_normals
@@ -94,7 +94,8 @@ def run(
         canonical_body = canonical.arrays("body")
         surface = body_surface(canonical_body, body, pose)
         garments = {
-            LABELS[label]: garment_layer(template, labels, label, config, surface) for label in GARMENT_LABELS
+            LAYER_OF_LABEL[label]: garment_layer(template, labels, label, config, surface)
+            for label in GARMENT_LABELS
         }
         layers = {BODY: body_layer(template, labels, canonical_body, body, pose)}
         layers |= {name: mesh for name, mesh in garments.items() if len(mesh["faces"])}

@@ -24,20 +24,24 @@ _SMALLEST_EDGE = 1e-5
 _MOST_HOLE_EDGES = 80
 
 
-def remesh(mesh: Mesh, edge: float, time_limit: float = _TIME_LIMIT_SECONDS) -> tuple[Mesh, str]:
-    """The same surface with triangles of even size: no doubles, no non-manifold edges, small holes closed.
+def remesh(
+    mesh: Mesh, edge: float, time_limit: float = _TIME_LIMIT_SECONDS, close_holes: bool = True
+) -> tuple[Mesh, str]:
+    """The same surface with triangles of even size: no doubles, no non-manifold edges.
 
     Arguments:
         mesh: its colours and labels are taken over from the nearest vertex.
-        edge: wanted edge length, metres, > 0.
+        edge: target edge length, metres, > 0.
         time_limit: seconds that pymeshlab may take.
+        close_holes: close holes of up to 80 edges; a garment's neck and sleeves are such holes.
 
     Returns:
         The new mesh and which way it was made: "pymeshlab" or "libigl".
     """
     area = _area(mesh)
     # An equilateral triangle of edge e has the area √3/4 e².
-    return _make(mesh, "remesh", max(edge, _SMALLEST_EDGE), int(area / (0.433 * edge * edge)), time_limit)
+    task = "remesh" if close_holes else "remesh-open"
+    return _make(mesh, task, max(edge, _SMALLEST_EDGE), int(area / (0.433 * edge * edge)), time_limit)
 
 
 def simplify(mesh: Mesh, most_faces: int, time_limit: float = _TIME_LIMIT_SECONDS) -> tuple[Mesh, str]:
@@ -146,8 +150,9 @@ def _child(task: str, amount: str, given: str, made: str) -> None:
     work.meshing_remove_null_faces()
     work.meshing_repair_non_manifold_edges()
     work.meshing_repair_non_manifold_vertices()
-    if task == "remesh":
-        work.meshing_close_holes(maxholesize=_MOST_HOLE_EDGES)
+    if task.startswith("remesh"):
+        if task == "remesh":
+            work.meshing_close_holes(maxholesize=_MOST_HOLE_EDGES)
         work.meshing_isotropic_explicit_remeshing(iterations=4, targetlen=pymeshlab.PureValue(float(amount)))
     else:
         work.meshing_decimation_quadric_edge_collapse(

@@ -60,7 +60,7 @@ class Material:
         if not isinstance(values["balanced"], bool):
             raise _bad(f"balanced is {values['balanced']!r}; it is true or false.", where)
         numbers = {name: float(values[name]) for name in _RANGES}
-        return cls(balanced=values["balanced"], **numbers)  # type: ignore[arg-type]
+        return cls(balanced=values["balanced"], **numbers)
 
 
 _RANGES = {

@@ -104,6 +104,7 @@ def fit_layer(teacher: Decoder, residuals: Tensor, samples: Samples, config: Dis
         for name, tensor in teacher.state().items():
             if name.startswith("base_"):
                 getattr(model, name).copy_(tensor)
+        model.set_observed(teacher.observed)
         model.mean_residual.copy_(mean)
         model.coefficients.centres.copy_(described)
         model.coefficients.bandwidth.copy_(width)

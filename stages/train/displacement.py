@@ -90,6 +90,11 @@ class Equations:
         """Nothing known yet of `count` texels."""
         return cls(np.zeros((count, 3, 3)), np.zeros((count, 3)))
 
+    def scale(self, factors: Floats) -> None:
+        """Multiply the equations of every texel by a factor (N,)."""
+        self.matrix[:] *= factors[:, None, None]
+        self.right[:] *= factors[:, None]
+
     def add(
         self,
         means: Floats,

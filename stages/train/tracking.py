@@ -153,6 +153,9 @@ class Tracker:
                     seen,
                     _PER_METRE,
                 )
+        for name, layer in self.tracked.items():
+            if not layer.model.all_observed:
+                equations[name].scale(layer.model.observed.double().cpu().numpy())
         if self.config.collision and BODY in posed:
             for name in self.tracked:
                 matrix, right = outwards(posed[name].means, posed[BODY], carried[name], _PER_METRE)

@@ -26,7 +26,13 @@ from stages.train.begin import Beginnings, own_motion
 from stages.train.config import LossWeights, TrainConfig
 from stages.train.data import StepChoice, TrainingViews, ViewKey, choose
 from stages.train.distributed import ALONE, Processes
-from stages.train.leaves import detached, give_gradients, roots, take_gradients
+from stages.train.gradient_boundary import (
+    detach,
+    give_gradients,
+    observed_of,
+    take_gradients,
+    upstream_gradients,
+)
 from stages.train.objective import Lens, Surfaces, picture_terms, surface_terms, weighted
 from stages.train.optimizer import adam, named_parameters
 from stages.train.tracking import Tracker
@@ -199,8 +205,8 @@ class Trainer:
             with clock("network"):
                 posed = self.posed(choice.frame, coarse, self._cosines(choice, group[0][0] if group else ""))
                 composite = compose(posed)
-            leaves = detached(composite)
-            seeds: list[Tensor] = []
+            detached = detach(composite)
+            shares: list[Tensor] = []
             for camera, background in group:
                 with clock("data"):
                     window = self._window(choice, camera)
@@ -209,20 +215,22 @@ class Trainer:
                     behind = torch.from_numpy(background).to(self.device)
                     lens = self._lens(choice.frame, view.camera)
                     try:
-                        terms = picture_terms(leaves, view, behind, weights, self.config.label_kind, lens)
+                        terms = picture_terms(detached, view, behind, weights, self.config.label_kind, lens)
                         _sum(terms, weights, 1.0 / len(choice.cameras), sums).backward()
                     except BadData:  # the splatter refuses Gaussians that are not finite
                         sums["total"] = math.nan
                         break
                 if self.processes.count > 1 and self.one_pass:
-                    seeds.append(take_gradients(leaves))
+                    shares.append(take_gradients(detached))
             if self.processes.count > 1 and self.one_pass:
                 with clock("exchange"):
                     sums = self.processes.sum_terms(sums)
                     if math.isfinite(sums["total"]):
                         give_gradients(
-                            leaves,
-                            self.processes.sum_in_order(seeds, len(choice.cameras), take_gradients(leaves)),
+                            detached,
+                            self.processes.sum_in_order(
+                                shares, len(choice.cameras), take_gradients(detached)
+                            ),
                         )
             if not math.isfinite(sums["total"]):
                 return sums
@@ -232,10 +240,10 @@ class Trainer:
                 part = 1.0 if self.one_pass else 1.0 / len(choice.cameras)
                 surface = _sum(terms, weights, part, sums) if terms else None
             with clock("network"):
-                pairs = roots(composite, leaves)
+                pairs = upstream_gradients(composite, detached, observed_of(self.models.values()))
                 if surface is not None and surface.requires_grad:
                     pairs.append((surface, None))
-                torch.autograd.backward([root for root, _ in pairs], [seed for _, seed in pairs])
+                torch.autograd.backward([output for output, _ in pairs], [gradient for _, gradient in pairs])
         return sums
 
     def _window(self, choice: StepChoice, camera: str) -> Window | None:

@@ -14,6 +14,7 @@ from stages.shared.avatar.deform import PosedGaussians, pose_layer
 from stages.shared.avatar.pose import FramePose
 from stages.train.config import LearningRates, LossWeights
 from stages.train.data import TrainingViews
+from stages.train.gradient_boundary import mask_gradients, observed_of
 from stages.train.objective import picture_terms, weighted
 
 _RATES = LearningRates(offset=1e-4, quaternion=1e-2, opacity=5e-2, scale=2e-2, color=5e-2)
@@ -48,6 +49,7 @@ def warm_up(
     weights = LossWeights(**{**vars(weights), "flow": 0.0})
     generator = np.random.default_rng([seed, 4])
     cameras = list(views.footage.training_cameras)
+    observed = observed_of(models.values())
     for step in range(steps):
         factor = _RATE_END + (1 - _RATE_END) * 0.5 * (1 + math.cos(math.pi * step / steps))
         for group in optimizer.param_groups:
@@ -64,6 +66,7 @@ def warm_up(
             for name, model in new.items()
         }
         composite = compose({name: posed[name] if name in posed else known[name] for name in models})
+        mask_gradients(composite, observed)
         losses = []
         for number in chosen:
             view = views.view(frame, cameras[number]).to(composite.means.device)

@@ -182,7 +182,8 @@ class PosedLayer:
             coefficients = linear.coefficients(pose.local_transforms, motion)
         if residual is None:
             assert pose is not None
-            residual = _chosen(self.model.residual(pose.local_transforms, motion=motion), self._rows)
+            whole = self.model.residual(pose.local_transforms, motion=motion)
+            residual = _chosen(self.model.observed_residual(whole), self._rows)
         run_together(
             pose_texels, residual.numpy(), coefficients.numpy(), *self.bases, _CHANNELS,
             self.base, self.limits, self.bounded, self.rest,

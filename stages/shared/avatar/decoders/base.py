@@ -75,6 +75,7 @@ class Decoder(nn.Module, ABC):
     base_opacity: Tensor  # (N,) logit
     base_scale: Tensor  # (N, 3) log m
     base_color: Tensor  # (N, 3) logit, or plain with linear colours
+    observed: Tensor  # (N,) 1 for texels that cameras see, 0 for those that none sees; `set_observed`
 
     def __init__(self, maps: LayerMaps, config: ModelConfig) -> None:
         super().__init__()
@@ -84,6 +85,8 @@ class Decoder(nn.Module, ABC):
                 self.register_parameter(f"base_{name}", nn.Parameter(start))
             else:
                 self.register_buffer(f"base_{name}", start)
+        self.register_buffer("observed", torch.ones_like(maps.spacing), persistent=False)
+        self.all_observed = True
 
     @property
     def config(self) -> dict[str, Any]:
@@ -92,9 +95,25 @@ class Decoder(nn.Module, ABC):
 
     def state(self) -> dict[str, Tensor]:
         """Every stored tensor (learned ones, fitted ones, fixed noise): float32, contiguous, on the CPU."""
-        return {
-            name: tensor.detach().cpu().contiguous().clone() for name, tensor in self.state_dict().items()
-        }
+        tensors = dict(self.state_dict())
+        if not self.all_observed:
+            tensors["observed"] = self.observed
+        return {name: tensor.detach().cpu().contiguous().clone() for name, tensor in tensors.items()}
+
+    def set_observed(self, observed: Tensor) -> None:
+        """Say which texels cameras see, (N,) from 0 to 1. All do until this is called.
+
+        The pose changes nothing but the offset of a texel that is not observed (`observed_residual`). The
+        trainer learns such a texel from the surface terms alone.
+        """
+        self.observed.copy_(observed)
+        self.all_observed = bool((self.observed >= 1.0).all())
+
+    def observed_residual(self, residual: Tensor) -> Tensor:
+        """A residual (N, 14) whose channels other than the offset are multiplied by `observed`."""
+        if self.all_observed:
+            return residual
+        return torch.cat((residual[:, :3], residual[:, 3:] * self.observed[:, None]), dim=1)
 
     @classmethod
     def restored(
@@ -118,6 +137,8 @@ class Decoder(nn.Module, ABC):
         model_config = ModelConfig(**{name: config[name] for name in names if name in config})
         with torch.device("meta"):  # shapes only: nothing that a file asks for is allocated before it fits
             expected = {name: tuple(tensor.shape) for name, tensor in make(model_config).state_dict().items()}
+        tensors = dict(tensors)
+        observed = tensors.pop("observed", None)
         given = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
         if expected != given:
             name = sorted(expected.items() ^ given.items())[0][0]
@@ -126,6 +147,10 @@ class Decoder(nn.Module, ABC):
             )
         model = make(model_config)
         model.load_state_dict(tensors)
+        if observed is not None:
+            if observed.shape != model.observed.shape:
+                raise BadData("The tensor 'observed' is of a wrong shape.", where, "Train it again.")
+            model.set_observed(observed)
         return model
 
     def base_parameters(self) -> dict[str, Tensor]:
@@ -276,7 +301,7 @@ class Decoder(nn.Module, ABC):
         """
         require_finite("attributes", residual=residual)
         widths = [high - low for low, high in CHANNELS.values()]
-        part = dict(zip(CHANNELS, residual.split(widths, dim=1), strict=True))
+        part = dict(zip(CHANNELS, self.observed_residual(residual).split(widths, dim=1), strict=True))
         config = self.model_config
         log_scale = self.base_scale + part["scale"]
         if config.max_scale > 0:

@@ -161,7 +161,10 @@ class BlendshapeDecoder(Decoder):
 
     def linear_residual(self) -> LinearResidual:
         bases = {group: getattr(self, f"basis_{group}") for group in BASIS_GROUPS}
-        return LinearResidual(self.mean_residual, bases, self.coefficients)
+        if not self.all_observed:
+            weight = self.observed[:, None, None]
+            bases = {group: b if group == "offset" else b * weight for group, b in bases.items()}
+        return LinearResidual(self.observed_residual(self.mean_residual), bases, self.coefficients)
 
     def fit_input(self, poses: list[Tensor], motions: list[Tensor] | None = None) -> None:
         """Lay out the coefficients over training poses, each (55, 4, 4), before the bases are learned.

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 _TENSORS = {
     "base_": "base attributes",
+    "observed": "base attributes",
     "networks": "networks",
     "view_net": "networks",
     "input_": "positional map",

@@ -145,9 +145,12 @@ class StyleUNetDecoder(Decoder):
             history=config.history,
         )
         started = type(self)(maps, settings)
-        tensors = {name: t for name, t in self.state().items() if not name.startswith(_OF_A_TAKE)}
+        tensors = {
+            name: t for name, t in self.state().items() if not name.startswith((*_OF_A_TAKE, "observed"))
+        }
         missing, _ = started.load_state_dict(tensors, strict=False)
         assert all(name.startswith(_OF_A_TAKE) for name in missing)
+        started.set_observed(self.observed)
         return started
 
     @property

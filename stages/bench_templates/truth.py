@@ -8,6 +8,7 @@ import torch
 from stages.shared.artifacts import Artifact
 from stages.shared.body.kinematics import posed_joints, shaped_vertices
 from stages.shared.body.model import BodyModel
+from stages.shared.body.posed import pose_tensors
 from stages.shared.body.poses import Poses
 from stages.shared.layers import LAYER_OF_LABEL, NO_LABEL
 from stages.shared.metrics.silhouette import iou
@@ -21,10 +22,9 @@ def fit_errors(body: BodyModel, fitted: Poses, given: Poses, frame: int) -> tupl
     `fitted` has one row, `given` the take's.
     """
     joints = [
-        posed_joints(body, _double(poses.rotations[row]), _double(poses.translation[row]),
-                     _double(poses.betas)).numpy()
+        posed_joints(body, *pose_tensors(poses, row, dtype=torch.float64)).numpy()
         for poses, row in ((fitted, 0), (given, frame))
-    ]  # fmt: skip
+    ]
     shapes = [shaped_vertices(body, _double(poses.betas)).numpy() for poses in (fitted, given)]
     # Shapes are compared centred: where the body stands is the translation's business.
     shapes = [shape - shape.mean(axis=0) for shape in shapes]

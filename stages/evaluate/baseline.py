@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from stages.shared.artifacts import Artifact
 from stages.shared.body import BodyModel, Poses, posed_from_canonical, skin
+from stages.shared.body.posed import pose_tensors
 from stages.shared.capture.camera import Box, Camera
 from stages.shared.layers import NO_LABEL
 from stages.shared.meshes.raycast import RayScene
@@ -53,12 +54,7 @@ class Baseline:
 
     def posed(self, poses: Poses, frame: int) -> RayScene:
         """The surface in the pose of a row of `poses`, world, ready for rays."""
-        transforms = posed_from_canonical(
-            self.body,
-            torch.from_numpy(poses.rotations[frame]),
-            torch.from_numpy(poses.translation[frame]),
-            torch.from_numpy(self.betas),
-        )
+        transforms = posed_from_canonical(self.body, *pose_tensors(poses, frame, self.betas))
         moved = skin(torch.from_numpy(self.vertices), torch.from_numpy(self.skin_weights), transforms)
         return RayScene(moved.numpy(), self.faces)
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from stages.evaluate.views import FrameViews
 from stages.shared.avatar.deform import PosedGaussians, blended, moved, shaped_positions
-from stages.shared.avatar.pose import frame_pose
+from stages.shared.avatar.pose import pose_at
 from stages.shared.body import Poses
 from stages.shared.capture import Take
 from stages.shared.capture.true_meshes import TrueMesh, TrueMeshes
@@ -166,12 +166,7 @@ def _triangles(layer: WornLayer, texels: NDArray[np.int64]) -> Faces:
 @torch.no_grad()
 def _bones_alone(outfit: Outfit, poses: Poses, frame: int) -> dict[str, Points]:
     """Worn layer to its texels (N, 3) m, world, without offsets."""
-    pose = frame_pose(
-        outfit.body_model,
-        torch.from_numpy(poses.rotations[frame]),
-        torch.from_numpy(poses.translation[frame]),
-        torch.from_numpy(outfit.betas),
-    )
+    pose = pose_at(outfit.body_model, poses, frame, outfit.betas)
     return {
         layer.name: moved(
             shaped_positions(layer.maps, pose.betas), blended(layer.maps.skin_weights, pose.transforms)

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from stages.shared.avatar.deform import Attributes
-from stages.shared.avatar.pose import frame_pose
+from stages.shared.avatar.pose import pose_at
 from stages.shared.body import BodyModel, Poses
 from stages.shared.outfit.layer import WornLayer
 from stages.shared.outfit.restore import spread_skin
@@ -21,9 +21,7 @@ def mean_attributes(body: WornLayer, body_model: BodyModel, poses: Poses, frames
     chosen = np.unique(np.linspace(0, len(poses) - 1, frames).astype(int))
     mean: Attributes | None = None
     for frame in chosen:
-        rotations, translation = poses.rotations[frame], poses.translation[frame]
-        pose = frame_pose(body_model, *(torch.from_numpy(a) for a in (rotations, translation, poses.betas)))
-        found = body.model(pose.local_transforms)
+        found = body.model(pose_at(body_model, poses, int(frame)).local_transforms)
         if mean is None:
             mean = found
             continue

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from stages.shared.body import BodyModel, Poses, posed_vertices
+from stages.shared.body.posed import pose_tensors
 from stages.shared.capture import Camera
 from stages.shared.capture.take import MASK_THRESHOLD
 from stages.shared.errors import MissingInput
@@ -201,10 +202,8 @@ class TrainingViews:
 
     def _body_vertices(self, frame: int) -> NDArray[np.float32]:
         if frame not in self._posed:
-            poses = self.poses[frame]
-            arrays = (poses.rotations[0], poses.translation[0], poses.betas, poses.expression[0])
-            rotations, translation, betas, expression = (torch.from_numpy(array) for array in arrays)
-            vertices = posed_vertices(self.body, rotations, translation, betas, expression).numpy()
+            expression = torch.from_numpy(self.poses.expression[frame])
+            vertices = posed_vertices(self.body, *pose_tensors(self.poses, frame), expression).numpy()
             self._posed = {frame: vertices}  # the cameras of a step look at one frame
         return self._posed[frame]
 

@@ -6,12 +6,10 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-import torch
-
 from stages.shared.avatar.decoders.cost import costs, joints_used, multiply_adds
 from stages.shared.avatar.decoders.registry import decoder_class
 from stages.shared.avatar.maps import LayerMaps
-from stages.shared.avatar.pose import frame_pose
+from stages.shared.avatar.pose import pose_at
 from stages.shared.avatar.used_joints import GROUPS, describe_rest
 from stages.shared.body import BodyModel, Poses
 from stages.shared.layers import LAYERS
@@ -58,8 +56,7 @@ def what_it_took(trainer: Trainer) -> dict[str, dict[str, Any]]:
 def joints_that_rest(body: BodyModel, poses: Poses, frames: list[int]) -> dict[str, str]:
     """Groups of joints that no frame moves, and what carries each (`used_joints.GROUPS`)."""
     rows = frames[:: max(1, len(frames) // _MOST_POSES)]
-    arrays = (poses.rotations[rows], poses.translation[rows], poses.betas)
-    return describe_rest(frame_pose(body, *(torch.from_numpy(array) for array in arrays)).local_transforms)
+    return describe_rest(pose_at(body, poses, rows).local_transforms)
 
 
 def _left_out(maps: Mapping[str, LayerMaps], rest: dict[str, str], config: TrainConfig) -> dict[str, str]:

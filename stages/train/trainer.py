@@ -16,7 +16,7 @@ from stages.shared.avatar.compose import compose
 from stages.shared.avatar.decoders.base import Decoder
 from stages.shared.avatar.deform import PosedGaussians, pose_layer, view_cosines
 from stages.shared.avatar.motion import recent_motion
-from stages.shared.avatar.pose import FramePose, frame_pose
+from stages.shared.avatar.pose import FramePose, pose_at
 from stages.shared.capture import Camera
 from stages.shared.errors import BadData
 from stages.shared.losses.crops import face_box, face_centre
@@ -304,11 +304,8 @@ class Trainer:
     def pose(self, frame: int) -> FramePose:
         """The frame's pose on the device; computed once."""
         if frame not in self._poses:
-            poses = self.views.poses[frame]
-            arrays = (poses.rotations[0], poses.translation[0], poses.betas)
-            rotations, translation, betas = (torch.from_numpy(array) for array in arrays)
             motion = recent_motion(self.views.poses, frame, self.config.model.history)
-            pose = frame_pose(self.views.body, rotations, translation, betas, motion)
+            pose = pose_at(self.views.body, self.views.poses, frame, motion=motion)
             self._poses[frame] = pose.to(self.device)
         return self._poses[frame]
 

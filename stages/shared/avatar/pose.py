@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
-from stages.shared.body import BodyModel, posed_from_canonical
+from stages.shared.body import BodyModel, Poses, posed_from_canonical
+from stages.shared.body.posed import pose_tensors
 
 
 @dataclass(frozen=True)
@@ -51,3 +54,18 @@ def frame_pose(
         betas=betas,
         motion=motion,
     )
+
+
+def pose_at(
+    body: BodyModel,
+    poses: Poses,
+    rows: int | slice | list[int],
+    betas: NDArray[np.float32] | None = None,
+    motion: Tensor | None = None,
+) -> FramePose:
+    """Pose of a row of `poses`; several rows give leading axes.
+
+    Arguments:
+        betas: (10,) shape to use instead of the shape of the poses. motion: (M,) `recent_motion` of the row.
+    """
+    return frame_pose(body, *pose_tensors(poses, rows, betas), motion)

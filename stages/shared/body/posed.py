@@ -1,4 +1,4 @@
-"""The body in one row of a pose sequence, float64: arrays in, arrays out, no gradients."""
+"""Rows of a pose sequence as tensors, and the body in one of them."""
 
 from __future__ import annotations
 
@@ -17,21 +17,28 @@ Doubles = NDArray[np.float64]
 
 def posed_body(body: BodyModel, poses: Poses, row: int = 0) -> Doubles:
     """Vertices (V, 3) of the body, world, metres."""
-    expression = _double(poses.expression[row])
+    expression = torch.as_tensor(poses.expression[row], dtype=torch.float64)
     with torch.no_grad():
-        return posed_vertices(body, *_numbers(poses, row), expression).numpy()
+        return posed_vertices(body, *pose_tensors(poses, row, dtype=torch.float64), expression).numpy()
 
 
 def row_transforms(body: BodyModel, poses: Poses, row: int = 0) -> Doubles:
     """posed_from_canonical (55, 4, 4), with the shape of the poses."""
     with torch.no_grad():
-        return posed_from_canonical(body, *_numbers(poses, row)).numpy()
+        return posed_from_canonical(body, *pose_tensors(poses, row, dtype=torch.float64)).numpy()
 
 
-def _numbers(poses: Poses, row: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Rotations (55, 3), translation (3,), betas (10,)."""
-    return _double(poses.rotations[row]), _double(poses.translation[row]), _double(poses.betas)
+def pose_tensors(
+    poses: Poses,
+    rows: int | slice | list[int],
+    betas: NDArray[np.float32] | None = None,
+    dtype: torch.dtype = torch.float32,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Rotations (55, 3) rad, translation (3,) m and betas (10,) of one row; several rows give a leading axis.
 
-
-def _double(values: NDArray[np.float32]) -> Tensor:
-    return torch.as_tensor(values, dtype=torch.float64)
+    Arguments:
+        betas: shape to use instead of the shape of the poses.
+    """
+    arrays = (poses.rotations[rows], poses.translation[rows], poses.betas if betas is None else betas)
+    rotations, translation, shape = (torch.as_tensor(array, dtype=dtype) for array in arrays)
+    return rotations, translation, shape

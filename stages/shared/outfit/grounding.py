@@ -9,6 +9,7 @@ import torch
 from numpy.typing import NDArray
 
 from stages.shared.body import JOINT_INDEX, BodyModel, Poses, posed_vertices, shaped_joints
+from stages.shared.body.posed import pose_tensors
 
 _SIDES = ("left", "right")
 _SAMPLES = 24  # frames that are looked at for the floor
@@ -49,10 +50,8 @@ def _leg_length(joints: NDArray[np.float64]) -> float:
 
 def _lowest(poses: Poses, body: BodyModel, betas: Floats, frames: NDArray[np.intp]) -> float:
     """Lowest height of any vertex of the body in these frames."""
-    shape = torch.from_numpy(np.asarray(betas, np.float32))
     lowest = np.inf
     for frame in frames:
-        rotations, translation = poses.rotations[frame], poses.translation[frame]
-        vertices = posed_vertices(body, torch.from_numpy(rotations), torch.from_numpy(translation), shape)
+        vertices = posed_vertices(body, *pose_tensors(poses, int(frame), betas))
         lowest = min(lowest, float(vertices[:, 1].min()))
     return lowest

@@ -20,6 +20,7 @@ from torch import Tensor
 
 from stages.shared.avatar.compose import Composite
 from stages.shared.body import Poses, posed_joints
+from stages.shared.body.posed import pose_tensors
 from stages.shared.capture.camera import Camera
 from stages.shared.layers import BODY
 from stages.shared.outfit.coverage import covered_weights, same_grid
@@ -108,8 +109,7 @@ def spread(chosen: NDArray[np.bool_], neighbours: NDArray[np.int64], steps: int)
 
 def _cameras(outfit: Outfit, poses: Poses, row: int) -> list[Camera]:
     """All around a pose, some from below and from above."""
-    arrays = (poses.rotations[row], poses.translation[row], outfit.betas)
-    joints = posed_joints(outfit.body_model, *(torch.from_numpy(array) for array in arrays)).numpy()
+    joints = posed_joints(outfit.body_model, *pose_tensors(poses, row, outfit.betas)).numpy()
     middle = (joints.min(axis=0) + joints.max(axis=0)) / 2.0
     reach = float(np.linalg.norm(joints - middle, axis=1).max()) + _REACH
     return [

@@ -14,7 +14,7 @@ from stages.shared.artifacts.bundle import Bundle
 from stages.shared.avatar.compose import Composite, compose, relabelled
 from stages.shared.avatar.deform import PosedGaussians, pose_layer
 from stages.shared.avatar.motion import recent_motion
-from stages.shared.avatar.pose import frame_pose
+from stages.shared.avatar.pose import pose_at
 from stages.shared.body import BodyModel, Poses
 from stages.shared.errors import BadData, UsageProblem
 from stages.shared.layers import BASELINE_LAYERS, BODY, LAYERS
@@ -80,12 +80,7 @@ class Outfit:
     @torch.no_grad()
     def posed(self, poses: Poses, frame: int) -> dict[str, PosedGaussians]:
         """All layers in the pose of a row of `poses`, in the world. Its betas are not used."""
-        pose = frame_pose(
-            self.body_model,
-            torch.from_numpy(poses.rotations[frame]),
-            torch.from_numpy(poses.translation[frame]),
-            torch.from_numpy(self.betas),
-        )
+        pose = pose_at(self.body_model, poses, frame, self.betas)
         posed: dict[str, PosedGaussians] = {}
         pushes = {push.garment: push for push in self.pushes}
         for layer in self.layers:
@@ -116,8 +111,7 @@ class Outfit:
         asked = list(rows) if models else []
         for first in range(0, len(asked), _MOMENTS):  # bones of many rows cost little more than those of one
             some = asked[first : first + _MOMENTS]
-            arrays = (poses.rotations[some], poses.translation[some], self.betas)
-            moments = frame_pose(self.body_model, *(torch.from_numpy(array) for array in arrays))
+            moments = pose_at(self.body_model, poses, some, self.betas)
             for local in moments.local_transforms:
                 for name, model in models.items():
                     counts[name] = counts.get(name, 0) + model.projected(local)

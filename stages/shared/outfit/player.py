@@ -12,7 +12,7 @@ from torch import Tensor
 
 from stages.shared.avatar.compose import Composite
 from stages.shared.avatar.motion import recent_motions
-from stages.shared.avatar.pose import FramePose, frame_pose
+from stages.shared.avatar.pose import FramePose, pose_at
 from stages.shared.avatar.posing import PosedBuffers, PosedLayer, Replacement
 from stages.shared.body import Poses
 from stages.shared.layers import BODY
@@ -101,8 +101,7 @@ class Player:
         first = frame - frame % _MOMENTS
         if self._bones is None or self._bones[0] is not poses or self._bones[1] != first:
             rows = slice(first, first + _MOMENTS)
-            arrays = (poses.rotations[rows], poses.translation[rows], self.outfit.betas)
-            moments = frame_pose(self.outfit.body_model, *(torch.from_numpy(array) for array in arrays))
+            moments = pose_at(self.outfit.body_model, poses, rows, self.outfit.betas)
             self._bones = (poses, first, moments)
             block_rows = range(first, min(first + _MOMENTS, len(poses)))
             histories = {posed.history for posed in self._layers if posed.history}

@@ -9,6 +9,7 @@ import torch
 from numpy.typing import NDArray
 
 from stages.shared.body import BodyModel, Poses, posed_joints, rotation_matrices
+from stages.shared.body.posed import pose_tensors
 from stages.shared.capture.camera import Camera
 from stages.shared.errors import UsageProblem
 
@@ -91,14 +92,8 @@ def looking_camera(
 
 def _joints(body: BodyModel, poses: Poses, betas: NDArray[np.float32]) -> NDArray[np.float64]:
     """(T, 55, 3) m, world."""
-    shape = torch.from_numpy(np.asarray(betas, dtype=np.float32))
     parts: Iterable[NDArray] = [
-        posed_joints(
-            body,
-            torch.from_numpy(poses.rotations[start : start + _CHUNK]),
-            torch.from_numpy(poses.translation[start : start + _CHUNK]),
-            shape,
-        ).numpy()
+        posed_joints(body, *pose_tensors(poses, slice(start, start + _CHUNK), betas)).numpy()
         for start in range(0, len(poses), _CHUNK)
     ]
     return np.concatenate(list(parts)).astype(np.float64)

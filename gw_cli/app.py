@@ -12,6 +12,7 @@ from typing import Annotated
 
 import typer
 
+from gw_cli import streams
 from gw_cli.console import CommandTable
 
 # Read when torch loads. Its idle threads would otherwise spin for milliseconds after every operation, on the
@@ -81,4 +82,5 @@ for _name in COMMANDS:
 
 def main() -> None:
     """Entry point of the command `gw`."""
+    streams.prepare()
     app()

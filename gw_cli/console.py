@@ -22,13 +22,17 @@ from typing import Any, NoReturn, TypeVar
 import typer
 from typer.core import TyperGroup
 
+from gw_cli import streams
+from gw_cli.streams import shown
 from stages.shared.errors import GwError, StorageFailure, UsageProblem
+from stages.shared.memory import is_memory_error, memory_refusal
 from stages.shared.plan import Plan
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 # Typer carries a click of its own in some versions and not in others; this is the class in either case.
 _UsageError: Any = typer.BadParameter.__mro__[1]
+INTERRUPTED = 130  # exit code after SIGINT and SIGTERM
 _PROGRESS_SECONDS_TERMINAL = 0.2
 _PROGRESS_SECONDS_PIPE = 30.0
 
@@ -38,7 +42,7 @@ class Console:
 
     def __init__(self, as_json: bool = False) -> None:
         self.as_json = as_json
-        self._terminal = sys.stderr.isatty()
+        self._terminal = streams.is_terminal("stderr")
         self._step = ""
         self._step_started = time.monotonic()
         self._last_progress = 0.0
@@ -57,8 +61,8 @@ class Console:
         elapsed = now - self._step_started
         rate = done / elapsed if elapsed > 0 else 0.0
         eta = (total - done) / rate if rate > 0 else float("nan")
-        shown = "  ".join(f"{name} {value:.4g}" for name, value in numbers.items())
-        text = f"  {self._step} {done}/{total}  {rate:.2f}/s  left {eta:.0f} s  {shown}".rstrip()
+        measures = "  ".join(f"{name} {value:.4g}" for name, value in numbers.items())
+        text = f"  {self._step} {done}/{total}  {rate:.2f}/s  left {eta:.0f} s  {measures}".rstrip()
         event = {
             "event": "progress",
             "step": self._step,
@@ -68,8 +72,7 @@ class Console:
             **numbers,
         }
         if self._terminal and not self.as_json:
-            sys.stderr.write("\r\x1b[2K" + text)
-            sys.stderr.flush()
+            streams.write("stderr", "\r\x1b[2K" + shown(text))
             self._line_open = True
         else:
             self._emit(event, text)
@@ -104,8 +107,7 @@ class Console:
     def result(self, result: dict[str, Any], next_command: str | None = None) -> None:
         """Print the result of a command, and the command to type next."""
         if self.as_json:
-            sys.stdout.write(json.dumps({"result": result}, allow_nan=False, default=_plain) + "\n")
-            sys.stdout.flush()
+            streams.write("stdout", json.dumps({"result": result}, allow_nan=False, default=_plain) + "\n")
             return
         for name, value in result.items():
             self._people(f"  {name}: {_readable(value)}")
@@ -114,17 +116,15 @@ class Console:
 
     def _emit(self, event: dict[str, Any], text: str) -> None:
         if self.as_json:
-            sys.stdout.write(json.dumps(event, default=_plain) + "\n")
-            sys.stdout.flush()
+            streams.write("stdout", json.dumps(event, default=_plain) + "\n")
         else:
             self._people(text)
 
     def _people(self, text: str) -> None:
         if self._line_open:
-            sys.stderr.write("\n")
+            streams.write("stderr", "\n")
             self._line_open = False
-        sys.stderr.write(text + "\n")
-        sys.stderr.flush()
+        streams.write("stderr", shown(text) + "\n")
 
 
 def _plain(value: Any) -> Any:
@@ -172,13 +172,17 @@ class CommandTable(TyperGroup):
         except GwError as error:  # from the check of an option
             _print_three_lines(error)
             status = error.exit_code
-        sys.exit(status if isinstance(status, int) else 0)
+        except KeyboardInterrupt:
+            status = _say_interrupted()
+        except OSError:  # the help could not be written: the reader has left, or the disk is full
+            status = StorageFailure.exit_code
+        sys.exit(streams.exit_code(status if isinstance(status, int) else 0))
 
 
 def _say_misuse(error: Any) -> int:
     """Print what is wrong with a command line, or the help of a group that was called without a command."""
     if type(error).__name__ == "NoArgsIsHelpError":
-        sys.stdout.write(error.ctx.get_help() + "\n")
+        streams.write("stdout", error.ctx.get_help() + "\n")
         return UsageProblem.exit_code
     name = error.ctx.command_path if error.ctx else "gw"
     usage = " ".join(error.ctx.get_usage().split()).removeprefix("Usage: ") if error.ctx else name
@@ -188,8 +192,14 @@ def _say_misuse(error: Any) -> int:
 
 
 def _print_three_lines(error: GwError) -> None:
-    sys.stderr.write(f"error: {error.what}\n where: {error.where}\n   fix: {error.fix}\n")
-    sys.stderr.flush()
+    streams.write(
+        "stderr", f"error: {shown(error.what)}\n where: {shown(error.where)}\n   fix: {shown(error.fix)}\n"
+    )
+
+
+def _say_interrupted() -> int:
+    streams.write("stderr", "interrupted; finished artifacts are kept, the same command goes on from here\n")
+    return INTERRUPTED
 
 
 def fail(error: GwError) -> NoReturn:
@@ -208,14 +218,15 @@ def command(function: Command) -> Command:
         except GwError as error:
             fail(error)
         except KeyboardInterrupt:
-            sys.stderr.write("interrupted; finished artifacts are kept, the same command goes on from here\n")
-            raise typer.Exit(130) from None
-        except OSError as error:
-            fail(_storage_failure(error))
+            raise typer.Exit(_say_interrupted()) from None
         except (typer.Exit, typer.Abort):
             raise
+        except BrokenPipeError:
+            raise typer.Exit(StorageFailure.exit_code) from None  # whoever read the output has left
         except Exception as error:
-            fail(_our_bug(error))
+            if is_memory_error(error):
+                fail(memory_refusal(f"gw {function.__name__.rstrip('_').replace('_', '-')}"))
+            fail(_storage_failure(error) if isinstance(error, OSError) else _our_bug(error))
 
     return guarded  # type: ignore[return-value]
 
@@ -231,10 +242,17 @@ def _storage_failure(error: OSError) -> GwError:
 
 
 def _our_bug(error: Exception) -> GwError:
-    with tempfile.NamedTemporaryFile("w", prefix="gw-report-", suffix=".txt", delete=False) as report:
-        report.write(" ".join(sys.argv) + "\n" + "".join(traceback.format_exception(error)))
-    return GwError(
-        f"A bug in gw: {type(error).__name__}: {error}",
-        report.name,
-        "Please file this report; nothing half-written was left behind.",
-    )
+    """The last resort: whatever else is broken, it says what happened."""
+    try:
+        what = f"A bug in gw: {type(error).__name__}: {error}"
+    except Exception:  # an exception that cannot be printed
+        what = f"A bug in gw: {type(error).__name__}"
+    try:
+        details = " ".join(sys.argv) + "\n" + "".join(traceback.format_exception(error))
+        with tempfile.NamedTemporaryFile("wb", prefix="gw-report-", suffix=".txt", delete=False) as report:
+            report.write(details.encode(errors="backslashreplace"))
+        return GwError(what, report.name, "Please file this report; nothing half-written was left behind.")
+    except Exception:  # no room for a report, or a traceback that cannot be formatted
+        last = traceback.extract_tb(error.__traceback__)[-1:]
+        where = f"{last[0].filename}, line {last[0].lineno}" if last else "unknown"
+        return GwError(what, where, "Please report it; no file could be written with the details.")

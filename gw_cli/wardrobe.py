@@ -54,7 +54,7 @@ def _list(group: typer.Typer) -> None:
         table: dict[str, Any] = {}
         for row in rows:
             if "problem" in row:
-                table[row["name"]] = f"cannot be used: {row['problem']}"
+                table[row["name"]] = row["problem"]
                 continue
             takes = "body" if row["kind"] == "body" else "+".join(row["slots"])
             on = ", ".join(f"{body} {how}" for body, how in row.get("on", {}).items())

@@ -1,0 +1,98 @@
+"""Which texels of garments the training pictures show.
+
+A shirt under a vest, the inside of a skirt or an armpit appear in no picture. What the pictures ask of the
+Gaussians there is noise, so training leaves them out, and their colours are filled in afterwards.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from stages.shared.avatar.compose import compose
+from stages.shared.avatar.decoders.base import Decoder
+from stages.shared.avatar.deform import PosedGaussians, pose_layer
+from stages.shared.avatar.fabric_fill import continue_fabric
+from stages.shared.avatar.pose import FramePose
+from stages.shared.capture import Camera
+from stages.shared.layers import BODY
+from stages.shared.splat.api import contributions
+
+LEAST_SHARE = 0.3  # of a texel's area that one picture must show; what shows less is seen at a grazing angle
+MOST_FRAMES = 6
+_PIXELS_PER_TEXEL = 2.0  # at this resolution the share of a texel can be told
+
+
+def observed_texels(
+    models: Mapping[str, Decoder],
+    frames: Sequence[int],
+    cameras: Callable[[int], Iterable[Camera]],
+    pose: Callable[[int], FramePose],
+) -> dict[str, Tensor]:
+    """(N,) bool per garment: texels that some training picture shows, layers moved by the bones alone.
+
+    Arguments:
+        models: name to decoder, inner to outer. frames: of training; `MOST_FRAMES` of them are looked at.
+        cameras: of training, of a frame. pose: of a frame.
+    """
+    rows = np.unique(np.linspace(0, len(frames) - 1, MOST_FRAMES).round().astype(int))
+    shares: dict[str, Tensor] = {
+        name: model.base_opacity.new_zeros(len(model.maps)) for name, model in models.items()
+    }
+    with torch.no_grad():
+        for frame in (frames[row] for row in rows):
+            posed = {name: _on_bones(model, pose(frame)) for name, model in models.items()}
+            for camera in cameras(frame):
+                shown = _shares(posed, {name: model.maps.pitch for name, model in models.items()}, camera)
+                for name, share in shown.items():
+                    torch.maximum(shares[name], share, out=shares[name])
+    return {name: share >= LEAST_SHARE for name, share in shares.items() if name != BODY}
+
+
+def fill_unobserved(model: Decoder, observed: Tensor) -> None:
+    """Give the unobserved texels of a trained garment the fabric, size and opacity of the observed ones.
+
+    Arguments:
+        model: changed in place. observed: (N,) bool.
+    """
+    parameters = model.base_parameters()
+    if not parameters or bool(observed.all()) or not bool(observed.any()):
+        return
+    with torch.no_grad():
+        color, sigmoid = parameters["color"], model.model_config.color == "sigmoid"
+        plain = torch.sigmoid(color) if sigmoid else color
+        filled = continue_fabric(model.maps, plain, observed.cpu().numpy())
+        color[~observed] = (torch.logit(filled.clamp(0.02, 0.98)) if sigmoid else filled)[~observed]
+        for name in ("opacity", "scale"):
+            values = parameters[name]
+            values[~observed] = values[observed].median(dim=0).values
+
+
+def _on_bones(model: Decoder, pose: FramePose) -> PosedGaussians:
+    still = model.base_opacity.new_zeros(len(model.maps), 14)
+    return pose_layer(model.maps, model.attributes(still), pose.transforms, pose.betas)
+
+
+def _shares(
+    posed: Mapping[str, PosedGaussians], pitches: Mapping[str, float], camera: Camera
+) -> dict[str, Tensor]:
+    """(N,) of every layer: pixels that a Gaussian paints in a picture, per area of its texel in pixels."""
+    composite = compose(dict(posed))
+    depth = composite.means @ composite.means.new_tensor(camera.camera_from_world[2, :3])
+    depth = (depth + float(camera.camera_from_world[2, 3])).clamp(min=1e-3)
+    texel = max(pitches.values()) * float(camera.intrinsics[0, 0]) / float(depth.median())
+    scale = min(1.0, _PIXELS_PER_TEXEL / max(texel, 1e-9))
+    small = camera.scaled(scale) if scale < 1 else camera
+    view = torch.from_numpy(small.camera_from_world).to(composite.means)
+    intrinsics = torch.from_numpy(small.intrinsics).to(composite.means)
+    painted = contributions(
+        composite.means, None, None, composite.opacities, view, intrinsics, small.width, small.height,
+        covars=composite.covariances,
+    )  # fmt: skip
+    counts = [len(layer.means) for layer in posed.values()]
+    pitch = torch.cat([depth.new_full((n,), pitches[name]) for name, n in zip(posed, counts, strict=True)])
+    area = (pitch * float(small.intrinsics[0, 0]) / depth).square()
+    return dict(zip(posed, (painted / area).split(counts), strict=True))

@@ -1,0 +1,77 @@
+"""Which texels of a garment training pictures show, and what becomes of the others."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from stages.shared.avatar.config import ModelConfig
+from stages.shared.avatar.decoders.registry import new_decoder
+from stages.shared.avatar.pose import FramePose
+from stages.shared.capture import Camera
+from stages.train.observation import fill_unobserved, observed_texels
+from tests.shared.avatar.tubes import tube
+
+STILL = FramePose(torch.eye(4).repeat(55, 1, 1), torch.eye(4).repeat(55, 1, 1), torch.zeros(10))
+PLAIN = ModelConfig(networks="none")
+
+
+def ring(count: int = 6, size: int = 160) -> list[Camera]:
+    """Cameras 2 m around the y axis that look at the origin."""
+    cameras = []
+    for index in range(count):
+        angle = 2 * np.pi * index / count
+        back = np.array([np.sin(angle), 0.0, np.cos(angle)])
+        right, up = np.array([np.cos(angle), 0.0, -np.sin(angle)]), np.array([0.0, 1.0, 0.0])
+        camera_from_world = np.eye(4)
+        camera_from_world[:3, :3] = np.stack([right, -up, -back])
+        camera_from_world[:3, 3] = [0, 0, 2]
+        intrinsics = np.array([[200.0, 0, size / 2], [0, 200.0, size / 2], [0, 0, 1]])
+        cameras.append(Camera(f"cam{index}", size, size, intrinsics, camera_from_world))
+    return cameras
+
+
+def shirt_under_vest() -> dict[str, object]:
+    """A shirt 60 cm high, and a vest around its upper half."""
+    maps = {"upper": tube("upper", radius=0.15), "outer": tube("outer", radius=0.2, low=0.0)}
+    return {name: new_decoder(one, PLAIN, poses=1) for name, one in maps.items()}
+
+
+def observed(models: dict[str, object]) -> dict[str, torch.Tensor]:
+    return observed_texels(models, [0, 5], lambda frame: ring(), lambda frame: STILL)  # type: ignore[arg-type]
+
+
+def test_what_the_vest_covers_is_not_observed() -> None:
+    models = shirt_under_vest()
+    found = observed(models)
+    x, height, _ = models["upper"].maps.positions.numpy().T  # type: ignore[attr-defined]
+    facing = np.abs(x) < 0.1  # at the sides a map has one texel where the tube has many
+    assert not found["upper"].numpy()[facing & (height > 0.06) & (height < 0.24)].any()
+    assert found["upper"].numpy()[facing & (height < -0.04)].all()
+    assert found["outer"].numpy().mean() > 0.9
+
+
+def test_without_the_vest_all_of_the_shirt_is_observed() -> None:
+    models = shirt_under_vest()
+    del models["outer"]
+    assert observed(models)["upper"].numpy().mean() > 0.9
+
+
+def test_unobserved_texels_take_fabric_size_and_opacity_of_the_observed() -> None:
+    models = shirt_under_vest()
+    shirt = models["upper"]
+    seen = observed(models)["upper"]
+    parameters = shirt.base_parameters()  # type: ignore[attr-defined]
+    with torch.no_grad():
+        for name in ("color", "opacity", "scale"):
+            parameters[name][~seen] = 3.0
+    before = {name: values.clone() for name, values in parameters.items()}
+    fill_unobserved(shirt, seen)  # type: ignore[arg-type]
+    colors = torch.sigmoid(parameters["color"])
+    fabric = torch.sigmoid(before["color"])[seen].unique(dim=0)
+    nearest = torch.cdist(colors[~seen], fabric).min(dim=1).values
+    assert float(nearest.max()) < 0.02, "only colours that the fabric has"
+    assert float((parameters["scale"][~seen] - before["scale"][seen].median(dim=0).values).abs().max()) == 0
+    assert float(parameters["opacity"][~seen].max()) < 3.0
+    for name, values in parameters.items():
+        torch.testing.assert_close(values[seen], before[name][seen], rtol=0, atol=0)

@@ -12,7 +12,7 @@ SEGMENT_LAYERS = StageSpec(
     "segment-layers", "gw segment-layers SUBJECT", ("register-template", "canonicalize"), code_version=3
 )
 BAKE_MAPS = StageSpec("bake-maps", "gw bake-maps SUBJECT", ("canonicalize", "segment-layers"), code_version=2)
-TRAIN = StageSpec("train", "gw train SUBJECT", ("register-template", "bake-maps"), code_version=6)
+TRAIN = StageSpec("train", "gw train SUBJECT", ("register-template", "bake-maps"), code_version=7)
 DISTILL = StageSpec(
     "distill", "gw distill SUBJECT", ("register-template", "bake-maps", "train"), code_version=2
 )

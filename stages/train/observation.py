@@ -6,7 +6,8 @@ Gaussians there is noise, so training leaves them out, and their colours are fil
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -21,43 +22,41 @@ from stages.shared.capture import Camera
 from stages.shared.layers import BODY
 from stages.shared.splat.api import contributions
 
+Item = TypeVar("Item")
+
 LEAST_SHARE = 0.3  # of a texel's area that one picture must show; what shows less is seen at a grazing angle
-MOST_FRAMES = 6
+MOST_FRAMES, MOST_CAMERAS = 6, 16
 _PIXELS_PER_TEXEL = 2.0  # at this resolution the share of a texel can be told
 
 
 def observed_texels(
     models: Mapping[str, Decoder],
     frames: Sequence[int],
-    cameras: Callable[[int], Iterable[Camera]],
+    cameras: Callable[[int], Sequence[Camera]],
     pose: Callable[[int], FramePose],
 ) -> dict[str, Tensor]:
     """(N,) bool per garment: texels that some training picture shows, layers moved by the bones alone.
 
     Arguments:
-        models: name to decoder, inner to outer. frames: of training; `MOST_FRAMES` of them are looked at.
-        cameras: of training, of a frame. pose: of a frame.
+        models: name to decoder, inner to outer. frames: of training. cameras: of training, of a frame.
+        pose: of a frame. At most `MOST_FRAMES` times `MOST_CAMERAS` pictures are drawn.
     """
-    rows = np.unique(np.linspace(0, len(frames) - 1, MOST_FRAMES).round().astype(int))
     shares: dict[str, Tensor] = {
         name: model.base_opacity.new_zeros(len(model.maps)) for name, model in models.items()
     }
     with torch.no_grad():
-        for frame in (frames[row] for row in rows):
+        for frame in _some(frames, MOST_FRAMES):
             posed = {name: _on_bones(model, pose(frame)) for name, model in models.items()}
-            for camera in cameras(frame):
+            for camera in _some(cameras(frame), MOST_CAMERAS):
                 shown = _shares(posed, {name: model.maps.pitch for name, model in models.items()}, camera)
                 for name, share in shown.items():
                     torch.maximum(shares[name], share, out=shares[name])
     return {name: share >= LEAST_SHARE for name, share in shares.items() if name != BODY}
 
 
-def fill_unobserved(model: Decoder, observed: Tensor) -> None:
-    """Give the unobserved texels of a trained garment the fabric, size and opacity of the observed ones.
-
-    Arguments:
-        model: changed in place. observed: (N,) bool.
-    """
+def fill_unobserved(model: Decoder) -> None:
+    """Give the unobserved texels of a trained garment the fabric, size and opacity of the observed ones."""
+    observed = model.observed >= 1
     parameters = model.base_parameters()
     if not parameters or bool(observed.all()) or not bool(observed.any()):
         return
@@ -69,6 +68,12 @@ def fill_unobserved(model: Decoder, observed: Tensor) -> None:
         for name in ("opacity", "scale"):
             values = parameters[name]
             values[~observed] = values[observed].median(dim=0).values
+
+
+def _some(items: Sequence[Item], most: int) -> list[Item]:
+    """At most so many items, evenly spread."""
+    rows = np.unique(np.linspace(0, len(items) - 1, min(most, len(items))).round().astype(int))
+    return [items[row] for row in rows]
 
 
 def _on_bones(model: Decoder, pose: FramePose) -> PosedGaussians:

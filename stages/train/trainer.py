@@ -34,6 +34,7 @@ from stages.train.gradient_boundary import (
     upstream_gradients,
 )
 from stages.train.objective import Lens, Surfaces, picture_terms, surface_terms, weighted
+from stages.train.observation import fill_unobserved, observed_texels
 from stages.train.optimizer import adam, named_parameters
 from stages.train.tracking import Tracker
 from stages.train.warm_up import warm_up
@@ -120,6 +121,18 @@ class Trainer:
             if config.track.frame_step
             else None
         )
+        self.observe()
+
+    def observe(self) -> None:
+        """Find the texels of garments that no training picture shows; pictures will not teach these."""
+        footage = self.views.footage
+
+        def cameras(frame: int) -> list[Camera]:
+            return [footage.camera(name, frame) for name in self.cameras]
+
+        for name, observed in observed_texels(self.models, self.frames, cameras, self.pose).items():
+            if name not in self.beginnings.known:
+                self.models[name].set_observed(observed)
 
     def warm_up(self) -> None:
         """Learn the template's own frame, from where the garments are then followed."""
@@ -144,6 +157,7 @@ class Trainer:
         """What can only be known when training is over."""
         for name, model in self.models.items():
             if name not in self.beginnings.frozen:
+                fill_unobserved(model)
                 model.fit_mean(*self._local_poses(self.frames))
 
     def step(self, number: int, elapsed: float, update: bool = True) -> StepReport:

@@ -72,7 +72,10 @@ def test_unobserved_texels_take_fabric_size_and_opacity_of_the_observed() -> Non
     fabric = torch.sigmoid(before["color"])[seen].unique(dim=0)
     nearest = torch.cdist(colors[~seen], fabric).min(dim=1).values
     assert float(nearest.detach().max()) < 0.02, "only colours that the fabric has"
-    assert float((parameters["scale"].detach()[~seen] - before["scale"][seen].median(dim=0).values).abs().max()) == 0
+    assert (
+        float((parameters["scale"].detach()[~seen] - before["scale"][seen].median(dim=0).values).abs().max())
+        == 0
+    )
     assert float(parameters["opacity"][~seen].max()) < 3.0
     for name, values in parameters.items():
         torch.testing.assert_close(values[seen], before[name][seen], rtol=0, atol=0)

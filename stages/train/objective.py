@@ -31,12 +31,6 @@ from stages.train.config import LossWeights
 from stages.train.data import View
 
 
-def camera_tensors(camera: Camera, like: Tensor) -> tuple[Tensor, Tensor]:
-    """camera_from_world (4, 4) and intrinsics (3, 3) as tensors of the type and place of `like`."""
-    matrix = torch.from_numpy(camera.camera_from_world).to(like)
-    return matrix, torch.from_numpy(camera.intrinsics).to(like)
-
-
 @dataclass(frozen=True)
 class Picture:
     """What a camera sees: color (H, W, 3) on black, labels (H, W, L), alpha (H, W), depth (H, W) m.
@@ -53,8 +47,8 @@ class Picture:
 
 def render(composite: Composite, camera: Camera, body_alone: bool = False, backend: str = "auto") -> Picture:
     """Colours, labels, alpha and expected depth of a composite, in one pass; the body alone in the same."""
-    camera_numbers = camera_tensors(camera, composite.means)
-    gaussians = (composite.means, None, None, composite.opacities, composite.features, *camera_numbers)
+    matrices = camera.tensors(composite.means.device)
+    gaussians = (composite.means, None, None, composite.opacities, composite.features, *matrices)
     size, covars = (camera.width, camera.height), composite.covariances
     body_alpha = None
     if body_alone:
@@ -126,9 +120,9 @@ def picture_terms(
     terms = {}
     if weights.flow > 0:
         flow, trusted = dense_flow(image, truth)
-        matrices = camera_tensors(view.camera, composite.means)
+        matrix, intrinsics = (x.to(composite.means) for x in view.camera.tensors())
         terms["flow"] = flow_loss(
-            composite.means, *matrices, picture.depth, flow.to(image), trusted.to(image.device)
+            composite.means, matrix, intrinsics, picture.depth, flow.to(image), trusted.to(image.device)
         )
     if lens is not None:
         terms |= lens.terms(image, truth, view, background, weights)

@@ -25,7 +25,7 @@ from stages.shared.splat.api import rasterize
 from stages.shared.splat.kernels.threads import watch
 from stages.train.config import TrainConfig
 from stages.train.data import choose
-from stages.train.objective import camera_tensors, render
+from stages.train.objective import render
 from stages.train.stage import prepare
 from stages.train.trainer import Trainer
 
@@ -130,7 +130,7 @@ def _shared(composite: Composite, camera: Camera) -> list[Tensor]:
 def _separate(composite: Composite, camera: Camera) -> list[Tensor]:
     """Colours, then labels, then the body alone: a call each."""
     shown = (camera.width, camera.height)
-    matrices = camera_tensors(camera, composite.means)
+    matrices = camera.tensors(composite.means.device)
 
     def draw(rows: Any, channels: slice) -> Any:
         return rasterize(

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stages.shared.errors import BadData
 from stages.shared.finite import require_finite
+
+if TYPE_CHECKING:
+    import torch
 
 Matrix = NDArray[np.float64]
 Box = tuple[int, int, int, int]  # left, top, right, bottom in pixels; right and bottom are outside
@@ -43,6 +47,12 @@ class Camera:
         camera_from_world[: given.shape[0]] = given
         object.__setattr__(self, "intrinsics", intrinsics)
         object.__setattr__(self, "camera_from_world", camera_from_world)
+
+    def tensors(self, device: torch.device | str = "cpu") -> tuple[torch.Tensor, torch.Tensor]:
+        """camera_from_world (4, 4) and intrinsics (3, 3), float64, as `rasterize` takes them."""
+        import torch
+
+        return tuple(torch.from_numpy(m).to(device) for m in (self.camera_from_world, self.intrinsics))  # type: ignore[return-value]
 
     @property
     def world_from_camera(self) -> Matrix:

@@ -27,7 +27,7 @@ from stages.shared.outfit.coverage import covered_weights, same_grid
 from stages.shared.outfit.outfit import Outfit
 from stages.shared.outfit.player import Player
 from stages.shared.outfit.viewpoints import looking_camera
-from stages.shared.splat.api import rasterize
+from stages.shared.splat.api import contributions as splat_contributions
 
 LEAST_SEEN = 0.0013  # of what a Gaussian would add with nothing before it: a third of one of 255 levels
 MARGIN = 0.013  # m around what is seen that is drawn as well
@@ -77,18 +77,10 @@ def deep_beneath(outfit: Outfit) -> NDArray[np.bool_]:
 
 def contributions(composite: Composite, camera: Camera) -> Tensor:
     """(N,) sum over pixels of every Gaussian's blending weight in one picture."""
-    view = torch.from_numpy(camera.camera_from_world).to(composite.means)
-    intrinsics = torch.from_numpy(camera.intrinsics).to(composite.means)
-    ones = composite.means.new_ones(len(composite.means), 1, requires_grad=True)
-    with torch.enable_grad():
-        picture = rasterize(
-            composite.means, None, None, composite.opacities, ones, view, intrinsics,
-            camera.width, camera.height, covars=composite.covariances,
-        )  # fmt: skip
-        if not picture.features.requires_grad:  # nothing in view
-            return torch.zeros(len(composite.means))
-        (found,) = torch.autograd.grad(picture.features.sum(), ones)
-    return found[:, 0]
+    return splat_contributions(
+        composite.means, None, None, composite.opacities, *camera.tensors(), camera.width, camera.height,
+        covars=composite.covariances,
+    )  # fmt: skip
 
 
 def footprints(composite: Composite, camera: Camera) -> Tensor:

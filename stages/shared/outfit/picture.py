@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
@@ -16,20 +16,9 @@ from stages.shared.outfit.layer import label_of
 from stages.shared.outfit.penetration import PenetrationConfig, repair, repair_view
 from stages.shared.splat.api import rasterize, rasterize_layers
 from stages.shared.splat.rendering import Rendering
-from stages.shared.splat.settings import ALPHA_MIN, TRANSMITTANCE_MIN
+from stages.shared.splat.settings import SplatSettings
 
 Floats = NDArray[np.float32]
-
-
-@dataclass(frozen=True)
-class CutOffs:
-    """Where splatting stops (`SplatSettings`); larger is faster and coarser."""
-
-    alpha_min: float = ALPHA_MIN
-    transmittance_min: float = TRANSMITTANCE_MIN
-
-
-FINE = CutOffs()
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +58,7 @@ def take_picture(
     penetration: PenetrationConfig | None = None,
     each_layer: bool = False,
     backend: str = "auto",
-    cutoffs: CutOffs = FINE,
+    settings: SplatSettings = SplatSettings(),
     whole_layers: bool = False,
 ) -> Shot:
     """Render a composite through a camera.
@@ -77,21 +66,20 @@ def take_picture(
     Arguments:
         penetration: run the penetration pass with these tolerances; None leaves the splats as they are.
         each_layer: also return every layer alone.
-        cutoffs: of the splatting.
+        settings: of the splatting.
         whole_layers: draw every layer alone over the whole picture for the pass, also where no pixel depends
             on it; the same picture, later (for measuring).
 
     Raises:
         UsageProblem: cut-offs that are not possible.
     """
-    view = torch.from_numpy(camera.camera_from_world).to(composite.means)
-    intrinsics = torch.from_numpy(camera.intrinsics).to(composite.means)
+    view, intrinsics = camera.tensors(composite.means.device)
     gaussians = (composite.means, None, None, composite.opacities, composite.features, view, intrinsics)
     size = (camera.width, camera.height)
     with torch.no_grad():
         if not each_layer and (penetration is None or len(composite.layers) == 1):
             picture = rasterize(
-                *gaussians, *size, covars=composite.covariances, backend=backend, **asdict(cutoffs)
+                *gaussians, *size, covars=composite.covariances, backend=backend, settings=settings
             )
             nothing = None if penetration is None else np.zeros(tuple(picture.alpha.shape), bool)
             return _shot(picture, composite.layers, repaired=nothing)
@@ -102,7 +90,7 @@ def take_picture(
             seen = layered_view(
                 composite.means, composite.opacities, composite.features, view, intrinsics, *size,
                 covars=composite.covariances, layer_ids=composite.layer_ids, layers=len(composite.layers),
-                **asdict(cutoffs),
+                settings=settings,
             )  # fmt: skip
             repaired = repair_view(seen, composite.layers, penetration)
             return _shot(repaired.rendering, composite.layers, {}, repaired.mask, repaired.counts)
@@ -114,7 +102,7 @@ def take_picture(
             layers=len(composite.layers),
             alone_channels=3,
             backend=backend,
-            **asdict(cutoffs),
+            settings=settings,
         )
         alone = {}
         if each_layer:

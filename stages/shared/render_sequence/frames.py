@@ -139,7 +139,7 @@ def _write_frame(
     for camera in frame.cameras if outputs.pictures else ():
         started = time.perf_counter()
         each_layer = "layers" in outputs.passes
-        shot = take_picture(composite, camera, outputs.penetration, each_layer, cutoffs=outputs.cutoffs)
+        shot = take_picture(composite, camera, outputs.penetration, each_layer, settings=outputs.splatting)
         counts.clock("render", started)
         counts.add(SequenceSummary(pictures=1, penetrated=shot.counts))
         started = time.perf_counter()

@@ -9,8 +9,8 @@ from typing import Any
 from stages.shared.capture.camera import Camera
 from stages.shared.errors import UsageProblem
 from stages.shared.outfit.penetration import PenetrationConfig
-from stages.shared.outfit.picture import FINE, CutOffs
 from stages.shared.pictures.background import WHITE, Background
+from stages.shared.splat.settings import SplatSettings
 
 PASSES = ("labels", "depth", "layers")
 
@@ -37,7 +37,7 @@ class SequenceOutputs:
         pictures: whether pictures are written, or exports only.
         cull: leave out hidden body Gaussians (`stages/shared/outfit/hidden.py`) in a sequence that is long
             enough for that to pay; never where the body alone is shown or exported.
-        cutoffs: of the splatting.
+        splatting: cut-offs.
     """
 
     background: Background = WHITE
@@ -49,7 +49,7 @@ class SequenceOutputs:
     exports: tuple[str, ...] = ()
     pictures: bool = True
     cull: bool = True
-    cutoffs: CutOffs = FINE
+    splatting: SplatSettings = field(default_factory=SplatSettings)
 
 
 @dataclass

@@ -23,7 +23,6 @@ from stages.shared.artifacts.files import write_whole
 from stages.shared.errors import UsageProblem
 from stages.shared.export.splats import check_formats
 from stages.shared.outfit.penetration import TRYON_MARGINS, PenetrationConfig
-from stages.shared.outfit.picture import CutOffs
 from stages.shared.pictures.background import read_background
 from stages.shared.pictures.folder import check_output
 from stages.shared.pictures.parts import finish, parse_share, part_folder
@@ -34,6 +33,7 @@ from stages.shared.render_sequence.frames import assemble, write_frames
 from stages.shared.render_sequence.outputs import SequenceOutputs, SequenceSummary, check_passes
 from stages.shared.render_sequence.sequence import RenderSequence, open_sequence
 from stages.shared.report import SILENT, Report
+from stages.shared.splat.settings import SplatSettings
 
 RESULT_NAME = "result.json"
 
@@ -155,7 +155,7 @@ def _outputs(
         exports=config.exports,
         pictures=config.pictures,
         cull=config.cull,
-        cutoffs=CutOffs(config.alpha_min, config.transmittance_min),
+        splatting=SplatSettings(alpha_min=config.alpha_min, transmittance_min=config.transmittance_min),
     )
 
 

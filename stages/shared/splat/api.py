@@ -19,7 +19,7 @@ from torch import Tensor
 from stages.shared.errors import UsageProblem
 from stages.shared.splat.rendering import LayeredRendering, Rendering
 from stages.shared.splat.scene import Scene, make_scene
-from stages.shared.splat.settings import ALPHA_MIN, TRANSMITTANCE_MIN, SplatSettings
+from stages.shared.splat.settings import SplatSettings
 
 BACKENDS = ("auto", "reference", "cpu", "cuda")
 
@@ -38,14 +38,7 @@ def rasterize(
     covars: Tensor | None = None,
     background: Tensor | None = None,
     backend: str = "auto",
-    near: float = 0.01,
-    far: float = 1e10,
-    eps2d: float = 0.3,
-    antialiased: bool = False,
-    alpha_min: float = ALPHA_MIN,
-    transmittance_min: float = TRANSMITTANCE_MIN,
-    precision: str = "single",
-    median_depth: bool = False,
+    settings: SplatSettings = SplatSettings(),
 ) -> Rendering:
     """Render Gaussians as seen by one camera or by B.
 
@@ -55,12 +48,12 @@ def rasterize(
         opacities: (N,) in [0, 1].
         colors: (N, C) features, any C: colours, one-hot labels, anything linear.
         viewmats: (4, 4) or (B, 4, 4) camera_from_world, OpenCV axes (x right, y down, z forward).
-        Ks: (3, 3) or (B, 3, 3) px; pixel (row r, column c) has its centre at (c + 0.5, r + 0.5).
+        Ks: (3, 3) or (B, 3, 3) px; pixel (row r, column c) has its centre at (c + 0.5, r + 0.5). Both may be
+            float64 (`Camera.tensors`): the CPU projects in float64 whatever the type of the Gaussians.
         width, height: px.
         covars: (N, 3, 3) m^2, world.
         background: (C,) or (B, C), behind everything; none is black.
-        near, far: m; eps2d: px^2; antialiased, alpha_min, transmittance_min, precision: see `SplatSettings`.
-        median_depth: also return it.
+        settings: near and far plane, blur, cut-offs, precision, median depth.
 
     The rules are those of 3DGS: 0.3 px^2 blur, alpha below 1/255 left out, alpha at most 0.999, a pixel stops
     before its transmittance falls to 1e-4; Gaussians of equal float32 depth keep their order.
@@ -70,10 +63,9 @@ def rasterize(
 
     Raises UsageProblem (shapes, names) and BadData (numbers), naming array and index.
     """
-    settings = SplatSettings(near, far, eps2d, antialiased, alpha_min, transmittance_min, precision)
     scene = make_scene(
         means, quats, scales, covars, opacities, colors, viewmats, Ks, background, width, height,
-        None, 0, (), 0, median_depth, settings,
+        None, 0, (), 0, settings,
     )  # fmt: skip
     return _pictures(_backend(backend, scene)(scene), viewmats.ndim == 3)[0]
 
@@ -96,14 +88,7 @@ def rasterize_layers(
     covars: Tensor | None = None,
     background: Tensor | None = None,
     backend: str = "auto",
-    near: float = 0.01,
-    far: float = 1e10,
-    eps2d: float = 0.3,
-    antialiased: bool = False,
-    alpha_min: float = ALPHA_MIN,
-    transmittance_min: float = TRANSMITTANCE_MIN,
-    precision: str = "single",
-    median_depth: bool = False,
+    settings: SplatSettings = SplatSettings(),
 ) -> LayeredRendering:
     """Render all layers together, and layers as if the others were not there, in one traversal.
 
@@ -118,12 +103,11 @@ def rasterize_layers(
     Everything else as in `rasterize`; the background is behind the composite and behind every layer. The
     result's `layers` are in the order of `alone`.
     """
-    settings = SplatSettings(near, far, eps2d, antialiased, alpha_min, transmittance_min, precision)
     if layers < 1:
         raise UsageProblem(f"layers is {layers}.", "layers", "Ask for one layer at least.")
     scene = make_scene(
         means, quats, scales, covars, opacities, colors, viewmats, Ks, background, width, height,
-        layer_ids, layers, alone, alone_channels, median_depth, settings,
+        layer_ids, layers, alone, alone_channels, settings,
     )  # fmt: skip
     composite, *others = _pictures(_backend(backend, scene)(scene), viewmats.ndim == 3)
     return LayeredRendering(composite, tuple(others))
@@ -151,8 +135,10 @@ def contributions(
         sizes = None if scales is None else scales.detach()
         camera = (viewmats.detach(), Ks.detach(), width, height)
         picture = rasterize(means.detach(), turned, sizes, opacities.detach(), ones, *camera, **options)
-        (found,) = torch.autograd.grad(picture.features.sum(), ones)
-    return found[:, 0]
+        if not picture.features.requires_grad:  # nothing is in view
+            return torch.zeros_like(opacities)
+        (weights,) = torch.autograd.grad(picture.features.sum(), ones)
+    return weights[:, 0]
 
 
 def _pictures(pictures: list[Rendering], batched: bool) -> list[Rendering]:

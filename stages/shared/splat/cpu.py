@@ -44,7 +44,10 @@ class _OnceOnly(torch.autograd.Function):
 
 
 class _Rasterize(torch.autograd.Function):
-    """Pictures with a leading axis of cameras, see `Pictures`, and the median depth; inputs in that type."""
+    """Pictures with a leading axis of cameras, see `Pictures`, and the median depth.
+
+    Gaussians and background are in the type of the pictures, cameras in float64.
+    """
 
     @staticmethod
     def forward(
@@ -68,13 +71,14 @@ class _Rasterize(torch.autograd.Function):
         alone_features = means.new_empty(cameras, others, *place, sizes.alone_channels)
         alpha, depth = (means.new_empty(cameras, 1 + others, *place) for _ in range(2))
         pictures = (features, alone_features, alpha, depth)
-        median = means.new_empty(alpha.shape if sizes.median else 0)
+        median = means.new_empty(alpha.shape if sizes.settings.median_depth else 0)
         behind = means.new_zeros(cameras, sizes.channels) if background is None else background.contiguous()
         views = []
         for i in range(cameras):
-            camera = camera_numbers(viewmats[i].double().numpy(), Ks[i].double().numpy(), sizes)
+            camera = camera_numbers(viewmats[i].numpy(), Ks[i].numpy(), sizes)
             view = arrange(gaussians, camera, behind[i].numpy(), sizes)
-            blend_view(view, Pictures.of(pictures, i), median[i].numpy() if sizes.median else None, sizes)
+            median_of_view = median[i].numpy() if sizes.settings.median_depth else None
+            blend_view(view, Pictures.of(pictures, i), median_of_view, sizes)
             views.append(view)
         if any(ctx.needs_input_grad):
             ctx.sizes, ctx.views = sizes, views
@@ -98,7 +102,7 @@ class _Rasterize(torch.autograd.Function):
         incoming = [x.contiguous() for x in grads[:4]]
         outgoing = [None if x is None else torch.empty(x.shape, dtype=x.dtype) for x in inputs[:6]]
         arrays = [None if x is None else x.numpy().reshape(-1) for x in outgoing]
-        g_viewmats, g_Ks = (inputs[0].new_zeros(len(views), side, side) for side in (4, 3))
+        g_viewmats, g_Ks = (torch.zeros(len(views), side, side, dtype=torch.float64) for side in (4, 3))
         for i, view in enumerate(views):
             seen, wanted = Pictures.of(pictures, i), Pictures.of(incoming, i)
             numbers = view_backward(gaussians, view, seen, wanted, arrays, i > 0, sizes)
@@ -135,23 +139,22 @@ def render_scene(scene: Scene) -> list[Rendering]:
     """The composite, then the layers alone: fields (B, H, W, ...), in the dtype of the means."""
     others = len(scene.alone) or None
     sizes = Sizes(
-        scene.width, scene.height, scene.colors.shape[1], others, scene.alone_channels, scene.median,
+        scene.width, scene.height, scene.colors.shape[1], others, scene.alone_channels,
         scene.settings, layout.host_lanes(scene.settings.precision),
     )  # fmt: skip
-    inputs = (
-        scene.means, scene.quats, scene.scales, scene.covars, scene.opacities, scene.colors, scene.viewmats,
-        scene.Ks, scene.background,
-    )  # fmt: skip
     kind = torch.float64 if scene.settings.precision == "double" else torch.float32
-    exact = [None if x is None else x.to(kind) for x in inputs]
+    gaussians = (scene.means, scene.quats, scene.scales, scene.covars, scene.opacities, scene.colors)
+    arrays = [None if x is None else x.to(kind) for x in gaussians]
+    background = None if scene.background is None else scene.background.to(kind)
+    cameras = (scene.viewmats.double(), scene.Ks.double())
     try:
-        pictures = _Rasterize.apply(sizes, _own_pictures(scene), *exact)
+        pictures = _Rasterize.apply(sizes, _own_pictures(scene), *arrays, *cameras, background)
     except RefusedGaussians:
         check_gaussians(scene)
         raise
     features, alone, alpha, depth, median = (x.to(scene.means.dtype) for x in pictures)
     # Axes are taken apart, not indexed: the backward of an index would fill and add whole pictures of zeros.
-    medians = median.unbind(1) if scene.median else [None] * (1 + len(scene.alone))
+    medians = median.unbind(1) if scene.settings.median_depth else [None] * (1 + len(scene.alone))
     rows = zip((features, *alone.unbind(1)), alpha.unbind(1), depth.unbind(1), medians, strict=True)
     return [Rendering(*row) for row in rows]
 
@@ -167,12 +170,12 @@ def warm_up(
     with told_to(report.say):
         for count in channels:
             sizes = Sizes(
-                16, 16, count, 1 if layered else None, alone_channels or 0, False, SplatSettings(),
+                16, 16, count, 1 if layered else None, alone_channels or 0, SplatSettings(),
                 layout.host_lanes(),
             )  # fmt: skip
             own = torch.ones(1, dtype=torch.int32) if layered else None
-            mean, camera = torch.tensor([[0.0, 0.0, 2.0]]), torch.eye(4)[None]
-            intrinsics = torch.tensor([[[20.0, 0, 8], [0, 20, 8], [0, 0, 1]]])
+            mean, camera = torch.tensor([[0.0, 0.0, 2.0]]), torch.eye(4).double()[None]
+            intrinsics = torch.tensor([[[20.0, 0, 8], [0, 20, 8], [0, 0, 1]]]).double()
             turned, scale = torch.tensor([[1.0, 0, 0, 0]]), torch.full((1, 3), 0.1)
             for shape in ((turned, scale, None), (None, None, torch.eye(3)[None] * 0.01)):
                 colors = torch.ones(1, count, requires_grad=True)

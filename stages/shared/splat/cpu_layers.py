@@ -104,7 +104,7 @@ def layered_view(
     covars: Tensor,
     layer_ids: Tensor,
     layers: int,
-    **cutoffs: float,
+    settings: SplatSettings = SplatSettings(),
 ) -> LayeredView:
     """Render layers together, float32, without gradients; arguments as in `rasterize_layers`, one camera.
 
@@ -112,10 +112,9 @@ def layered_view(
 
     Raises UsageProblem and BadData as `rasterize_layers` does.
     """
-    settings = SplatSettings(**cutoffs)  # type: ignore[arg-type]
     scene = make_scene(
         means, None, None, covars, opacities, features, viewmat, intrinsics, None, width, height,
-        layer_ids, layers, (), None, False, settings,
+        layer_ids, layers, (), None, settings,
     )  # fmt: skip
     try:
         return _blended(scene)
@@ -128,7 +127,7 @@ def layered_view(
 def _blended(scene: Scene) -> LayeredView:
     channels, place = scene.colors.shape[1], (scene.height, scene.width)
     sizes = Sizes(
-        scene.width, scene.height, channels, None, 0, False, scene.settings, layout.host_lanes()
+        scene.width, scene.height, channels, None, 0, scene.settings, layout.host_lanes()
     )  # fmt: skip
     flat: list[Any] = [
         None if x is None else x.detach().float().contiguous().numpy().reshape(-1)

@@ -41,7 +41,6 @@ class Sizes:
     channels: int
     alone: int | None  # layers rendered alone, beside the composite
     alone_channels: int
-    median: bool
     settings: SplatSettings
     lanes: int
 

@@ -105,7 +105,7 @@ def render_scene(scene: Scene) -> list[Rendering]:
     Raises MissingInput when there is no CUDA device or no gsplat, or when it lacks an option asked for.
     """
     reason = why_not()
-    if reason is None and scene.median:
+    if reason is None and scene.settings.median_depth:
         reason = "it has no median depth"
     if reason is None and not _usual(scene.settings):
         reason = "its cut-offs and its precision are fixed"

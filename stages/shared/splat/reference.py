@@ -168,7 +168,6 @@ def render(
     width: int,
     height: int,
     members: Tensor | None = None,
-    median: bool = False,
     settings: SplatSettings = SplatSettings(),
 ) -> Rendering:
     """Composite M sorted Gaussians, colours (N, C) of all, into H x W pixels; `members` (M,) picks some."""
@@ -187,14 +186,14 @@ def render(
         features.append(w @ colors if background is None else w @ colors + left[:, None] * background)
         opaque.append(1 - left)
         depth.append(w @ gaussians.depths)
-        if median:
+        if settings.median_depth:
             middle.append(median_depths(w.detach(), gaussians.depths.detach()))
     shape = (height, width)
     return Rendering(
         torch.cat(features).reshape(*shape, colors.shape[1]),
         torch.cat(opaque).reshape(shape),
         torch.cat(depth).reshape(shape),
-        torch.cat(middle).reshape(shape) if median else None,
+        torch.cat(middle).reshape(shape) if settings.median_depth else None,
     )
 
 
@@ -213,13 +212,14 @@ def render_scene(scene: Scene) -> list[Rendering]:
         view, intrinsics = exact.viewmats[camera], exact.Ks[camera]
         gaussians = project(exact.means, covars, exact.opacities, view, intrinsics, *shape, exact.settings)
         background = None if exact.background is None else exact.background[camera]
-        options = (exact.median, exact.settings)
-        composite.append(render(gaussians, exact.colors, background, *shape, None, *options))
+        composite.append(render(gaussians, exact.colors, background, *shape, None, exact.settings))
         for layer, pictures in zip(exact.alone, alone, strict=True):
             assert ids is not None
             members, first = ids[gaussians.index] == layer, slice(exact.alone_channels)
             behind = None if background is None else background[first]
-            pictures.append(render(gaussians, exact.colors[:, first], behind, *shape, members, *options))
+            pictures.append(
+                render(gaussians, exact.colors[:, first], behind, *shape, members, exact.settings)
+            )
     return stacked([composite, *alone], dtype)
 
 

@@ -39,7 +39,6 @@ class Scene:
     layers: int
     alone: tuple[int, ...]
     alone_channels: int
-    median: bool
     settings: SplatSettings
 
 
@@ -59,7 +58,6 @@ def make_scene(
     layers: int,
     alone: Sequence[int] | None,
     alone_channels: int | None,
-    median: bool,
     settings: SplatSettings,
 ) -> Scene:
     """Check what all backends rely on; the numbers of single Gaussians are left to `check_gaussians`.
@@ -117,7 +115,7 @@ def make_scene(
         _check_alone(chosen, layers, features, c)
     return Scene(
         means, quats, scales, covars, opacities, colors, viewmats, Ks, background,
-        int(width), int(height), layer_ids, layers, chosen, features if chosen else 0, median, settings,
+        int(width), int(height), layer_ids, layers, chosen, features if chosen else 0, settings,
     )  # fmt: skip
 
 

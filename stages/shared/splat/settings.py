@@ -29,7 +29,7 @@ PRECISIONS = ("single", "double")
 
 @dataclass(frozen=True)
 class SplatSettings:
-    """Options of one rendering.
+    """Options of one rendering, the same for `rasterize` and `rasterize_layers`.
 
     near, far: metres of camera depth outside which Gaussians are left out.
     eps2d: variance in px^2 added to both axes of every projected Gaussian (the 3DGS blur).
@@ -38,6 +38,7 @@ class SplatSettings:
     transmittance_min: a pixel stops before the Gaussian that would take its transmittance to this or below;
         0 never stops, and alpha may then round to 1.
     precision: of the pictures on a CPU: "single", or "double" (slow; for tests and fine comparisons).
+    median_depth: also return the median depth.
     """
 
     near: float = 0.01
@@ -47,6 +48,7 @@ class SplatSettings:
     alpha_min: float = ALPHA_MIN
     transmittance_min: float = TRANSMITTANCE_MIN
     precision: str = "single"
+    median_depth: bool = False
 
     def __post_init__(self) -> None:
         if not 0 < self.near < self.far or math.isnan(self.far):

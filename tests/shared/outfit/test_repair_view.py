@@ -12,9 +12,10 @@ from stages.shared.avatar.compose import Composite
 from stages.shared.capture import Camera
 from stages.shared.layers import NO_LABEL
 from stages.shared.outfit.penetration import TRYON_MARGINS, PenetrationConfig
-from stages.shared.outfit.picture import CutOffs, Shot, take_picture
+from stages.shared.outfit.picture import Shot, take_picture
 from stages.shared.outfit.viewpoints import looking_camera
 from stages.shared.splat.api import rasterize
+from stages.shared.splat.settings import SplatSettings
 
 NAMES = ("body", "lower", "upper", "outer")
 FIELDS = ("color", "alpha", "depth", "labels", "repaired")
@@ -80,13 +81,13 @@ def test_same_bytes_as_from_whole_pictures(layers: int, size: tuple[int, int]) -
 
 def test_same_bytes_with_coarse_cut_offs_and_two_threads() -> None:
     composite, camera = _onion(3, 5), _camera(0.4, (120, 120))
-    coarse = CutOffs(alpha_min=0.02, transmittance_min=0.01)
-    alone = take_picture(composite, camera, TRYON_MARGINS, cutoffs=coarse)
-    _same(alone, take_picture(composite, camera, TRYON_MARGINS, each_layer=True, cutoffs=coarse))
+    coarse = SplatSettings(alpha_min=0.02, transmittance_min=0.01)
+    alone = take_picture(composite, camera, TRYON_MARGINS, settings=coarse)
+    _same(alone, take_picture(composite, camera, TRYON_MARGINS, each_layer=True, settings=coarse))
     before = torch.get_num_threads()
     torch.set_num_threads(2)
     try:
-        _same(alone, take_picture(composite, camera, TRYON_MARGINS, cutoffs=coarse))
+        _same(alone, take_picture(composite, camera, TRYON_MARGINS, settings=coarse))
     finally:
         torch.set_num_threads(before)
     fine = take_picture(composite, camera, TRYON_MARGINS)
@@ -118,7 +119,7 @@ def test_nothing_in_view_and_nothing_covered() -> None:
 def test_a_developed_picture_is_what_the_formulas_say() -> None:
     composite, camera = _onion(3, 2), _camera(1.0, (90, 70))
     bright = replace(composite, features=composite.features * 1.6 - 0.2)
-    view, intrinsics = (torch.from_numpy(m).float() for m in (camera.camera_from_world, camera.intrinsics))
+    view, intrinsics = camera.tensors()
     raw = rasterize(
         bright.means, None, None, bright.opacities, bright.features, view, intrinsics, 90, 70,
         covars=bright.covariances,

@@ -59,8 +59,10 @@ class Case:
             self.means, self.quats, self.scales, self.opacities, self.colors, self.viewmats, self.Ks,
             self.width, self.height,
         )  # fmt: skip
-        names = ("covars", "background", "antialiased", "alpha_min", "transmittance_min", "precision")
-        options = {name: getattr(self, name) for name in names} | options | {"backend": backend}
+        names = ("antialiased", "alpha_min", "transmittance_min", "precision")
+        settings = SplatSettings(**{name: getattr(self, name) for name in names} | options)
+        options = {"covars": self.covars, "background": self.background, "backend": backend}
+        options["settings"] = settings
         if not self.layers:
             return [rasterize(*arguments, **options)]
         assert self.layer_ids is not None

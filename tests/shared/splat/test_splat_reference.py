@@ -9,7 +9,7 @@ import torch
 
 from stages.shared.splat import reference
 from stages.shared.splat.api import rasterize
-from stages.shared.splat.settings import ALPHA_MAX
+from stages.shared.splat.settings import ALPHA_MAX, SplatSettings
 from tests.shared.splat.scenes import random_case
 
 D = torch.float64
@@ -17,7 +17,19 @@ FOCAL = 50.0
 BACKENDS = ("reference", "cpu")
 
 
-def one(mean, sigma, opacity, color, backend, size=(21, 17), dtype=D, focal=FOCAL, principal=None, **options):
+def one(
+    mean,
+    sigma,
+    opacity,
+    color,
+    backend,
+    size=(21, 17),
+    dtype=D,
+    focal=FOCAL,
+    principal=None,
+    background=None,
+    **options,
+):
     """Round Gaussians in front of a camera at the origin; first axis of every argument is the Gaussian."""
     width, height = size
     mean = torch.tensor(mean, dtype=dtype).reshape(-1, 3)
@@ -36,7 +48,8 @@ def one(mean, sigma, opacity, color, backend, size=(21, 17), dtype=D, focal=FOCA
         width,
         height,
         backend=backend,
-        **options,
+        background=background,
+        settings=SplatSettings(**options),
     )
 
 
@@ -147,7 +160,8 @@ def test_gradients_match_finite_differences(form):
             covars = None
         picture = rasterize(
             means, quats, scales, opacities, colors, view, intrinsics, 7, 6, covars=covars,
-            background=background, backend="reference", antialiased=form == "antialiased",
+            background=background, backend="reference",
+            settings=SplatSettings(antialiased=form == "antialiased"),
         )  # fmt: skip
         return picture.features, picture.alpha, picture.depth
 

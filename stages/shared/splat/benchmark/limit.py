@@ -72,7 +72,7 @@ def _hot_steps(channels: int, lanes: int) -> tuple[float, float]:
 
 def _list_costs(count: int, channels: int, lanes: int) -> tuple[float, float]:
     """Least seconds to blend one tile with a list of `count` Gaussians, forward and backward."""
-    sizes = cpu_steps.Sizes(layout.TILE, layout.TILE, channels, None, 0, False, SplatSettings(), lanes)
+    sizes = cpu_steps.Sizes(layout.TILE, layout.TILE, channels, None, 0, SplatSettings(), lanes)
     ones = np.ones(count, np.float32)
     centers, unturned = np.array([0, 0, 2], np.float32), np.array([1, 0, 0, 0], np.float32)
     gaussians = cpu_steps.Gaussians(

@@ -117,7 +117,7 @@ def _work(
     pairs cost time; `hot`, the blending steps at their cost in the first-level cache with no lane idle.
     """
     lanes = limit.lanes
-    sizes = cpu_steps.Sizes(case.size, case.size, case.channels, None, 0, False, SplatSettings(), lanes)
+    sizes = cpu_steps.Sizes(case.size, case.size, case.channels, None, 0, SplatSettings(), lanes)
     arrays = (figure.means, figure.quats, figure.scales, None, figure.opacities, figure.colors)
     gaussians = cpu_steps.Gaussians(*(None if x is None else x.reshape(-1).numpy() for x in arrays))  # type: ignore[arg-type]
     camera = cpu_steps.camera_numbers(view.double().numpy(), intrinsics.double().numpy(), sizes)

@@ -30,7 +30,6 @@ import numpy as np
 
 from stages.bake_maps.config import BakeMapsConfig
 from stages.bake_maps.grid import Grid
-from stages.bake_maps.links import initial_sigma, neighbour_texels, seam_pairs, texel_numbers
 from stages.bake_maps.picture import maps_picture
 from stages.bake_maps.texels import Texels, cast_texels
 from stages.bake_maps.unseen import unseen_shares
@@ -44,19 +43,18 @@ from stages.shared.errors import BadData
 from stages.shared.meshes.raycast import RayScene
 from stages.shared.plan import Plan
 from stages.shared.report import SILENT, Report
+from stages.shared.texel_maps import (
+    ARRAYS,
+    OTHER_ARRAYS,
+    initial_sigma,
+    neighbour_texels,
+    seam_pairs,
+    texel_numbers,
+)
 
 _ABOUT = {
-    "texels": "view, row, column on the grid (N,3)",
-    "window": "row0, column0, height, width (4,)",
-    "positions": "m canonical zero-shape (N,3)",
-    "normals": "unit canonical (N,3)",
-    "skin_weights": "rows sum to 1 (N,55)",
-    "shape_directions": "m per unit of shape, canonical (N,10,3)",
-    "neighbours": "texel up, right, down, left; -1 none (N,4)",
-    "seams": "texel facing front, texel facing back (S,2)",
-    "spacing": "m, initial standard deviation (N,)",
-    "colors": "sRGB 0..1 (N,3)",
-    "color_confidence": "cosine of the best view, 0 where filled (N,)",
+    **{name: array.about for name, array in ARRAYS.items()},
+    **OTHER_ARRAYS,
     "labels": "layer label ids (N,)",
 }
 Mesh = dict[str, np.ndarray]

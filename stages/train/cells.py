@@ -58,13 +58,9 @@ class Cells:
 
 def _beside(maps: LayerMaps, basis: sparse.csr_matrix) -> sparse.csr_matrix:
     """(M, M) 0 or 1: cells that share a texel, a link between neighbouring texels, or a seam."""
-    links = [np.stack((np.arange(len(maps)),) * 2, axis=1)]
-    for column in maps.neighbours.cpu().numpy().T:
-        here = np.nonzero(column >= 0)[0]
-        links.append(np.stack((here, column[here]), axis=1))
-    links.append(maps.seams.cpu().numpy())
-    first, second = np.concatenate(links).T
-    texels = sparse.csr_matrix((np.ones(len(first)), (first, second)), shape=(len(maps), len(maps)))
+    first, second = maps.links()
+    links = sparse.csr_matrix((np.ones(len(first)), (first, second)), shape=(len(maps), len(maps)))
+    texels = sparse.identity(len(maps), format="csr") + links
     pattern = (basis > 0.05).astype(np.float64)
     shared = (pattern.T @ texels @ pattern).tocsr()
     shared = (shared + shared.T).tocsr()

@@ -38,26 +38,14 @@ from stages.shared.artifacts.bundle_model import check_model
 from stages.shared.artifacts.bundle_precision import may_be_half
 from stages.shared.errors import BadData
 from stages.shared.layers import BODY, LAYERS, SLOTS
+from stages.shared.texel_maps import ARRAYS, BOX, FLOATS, MAX_VIEWS, OTHER_ARRAYS, index_problem
 
 JOINTS = 55
 BETAS = 10
 MAX_TEXELS = 2_000_000
 MAX_GRID = 4096
-MAX_VIEWS = 32  # front and back, and sheets peeled off below them
-_BOX = 2.0  # metres: no canonical point is farther from the origin along an axis
 LARGEST_PREVIEW = 2048
 
-_MAPS: dict[str, tuple[tuple[int, ...], str]] = {
-    "texels": ((3,), "i"),
-    "neighbours": ((4,), "i"),
-    "positions": ((3,), "f"),
-    "normals": ((3,), "f"),
-    "skin_weights": ((JOINTS,), "f"),
-    "shape_directions": ((BETAS, 3), "f"),
-    "spacing": ((), "f"),
-    "colors": ((3,), "f"),
-    "color_confidence": ((), "f"),
-}
 _SKIN: dict[str, tuple[tuple[int, ...], float, float]] = {
     "covered": ((), 0, 1),
     "offsets": ((3,), -1, 1),
@@ -107,7 +95,7 @@ def check_manifest(manifest: dict[str, Any], where: str) -> None:
     if type(size) is not int or not 1 <= size <= MAX_GRID:
         raise _bad(f"its grid does not have 1 to {MAX_GRID} texels a side", where)
     good_centre = isinstance(centre, list) and len(centre) == 3 and all(_is_number(x) for x in centre)
-    if not good_centre or max(abs(x) for x in centre) > _BOX:
+    if not good_centre or max(abs(x) for x in centre) > BOX:
         raise _bad("the centre of its grid is not a point near the body", where)
     check_model(manifest["model"], where)
     if manifest["model"].get("layer", layer) != layer:
@@ -149,8 +137,8 @@ def check_layout(manifest: dict[str, Any], layout: Layout, where: str) -> None:
         raise _bad(f"it has {count} texels, not 1 to {MAX_TEXELS}", where)
     if manifest["model"]["texels"] != count:
         raise _bad(f"its model has {manifest['model']['texels']} texels, its maps {count}", where)
-    for name, (shape, kind) in _MAPS.items():
-        _expect(f"maps/{name}", layout, (count, *shape), kind, where)
+    for name, array in ARRAYS.items():
+        _expect(f"maps/{name}", layout, (count, *array.shape), array.kind, where)
     _expect("maps/window", layout, (4,), "i", where)
     _expect("maps/seams", layout, (_rows("maps/seams", layout, where), 2), "i", where)
     _expect("betas", layout, (BETAS,), "f", where)
@@ -171,7 +159,7 @@ def check_layout(manifest: dict[str, Any], layout: Layout, where: str) -> None:
     if "skin" in groups:
         for name, (tail, _, _) in _SKIN.items():
             _expect(f"skin/{name}", layout, (count, *tail), "f", where)
-    known = {f"maps/{name}" for name in (*_MAPS, "window", "seams")} | {"betas", "preview", "joints"}
+    known = {f"maps/{name}" for name in (*ARRAYS, *OTHER_ARRAYS)} | {"betas", "preview", "joints"}
     known |= {f"skin/{name}" for name in _SKIN}
     known |= {f"swap/{name}" for name in ("texels", "offsets", "quaternions")}
     known |= {f"body/{name}" for name in (*_BODY, *_BODY_OPTIONAL)}
@@ -219,38 +207,24 @@ def check_arrays(manifest: dict[str, Any], arrays: Arrays, where: str) -> None:
     if "skin/covered" in arrays:
         for name, (_, low, high) in _SKIN.items():
             _check_range(arrays, f"skin/{name}", low, high, where)
-    if "joints" in arrays and np.abs(arrays["joints"]).max() > _BOX:
-        raise _bad(f"a joint is farther than {_BOX} m from the origin", where, "joints")
+    if "joints" in arrays and np.abs(arrays["joints"]).max() > BOX:
+        raise _bad(f"a joint is farther than {BOX} m from the origin", where, "joints")
 
 
 def _check_maps(grid_size: int, arrays: Arrays, where: str) -> None:
-    texels = arrays["maps/texels"]
-    row, column, height, width = (int(value) for value in arrays["maps/window"])
-    if min(row, column) < 0 or min(height, width) < 1 or max(row + height, column + width) > grid_size:
-        raise _bad("the window lies outside the grid", where, "maps/window")
-    low, high = np.array([0, row, column]), np.array([MAX_VIEWS, row + height, column + width])
-    if (texels < low).any() or (texels >= high).any():
-        raise _bad("a texel lies outside the window", where, "maps/texels")
-    numbers = (texels[:, 0].astype(np.int64) * grid_size + texels[:, 1]) * grid_size + texels[:, 2]
+    maps = {name: arrays[f"maps/{name}"] for name in (*ARRAYS, *OTHER_ARRAYS)}
+    if problem := index_problem(maps, grid_size):
+        raise _bad(problem[0], where, f"maps/{problem[1]}")
+    texels = maps["texels"].astype(np.int64)
+    numbers = (texels[:, 0] * grid_size + texels[:, 1]) * grid_size + texels[:, 2]
     if (np.diff(numbers) <= 0).any():
         raise _bad("the texels are not in order, or one stands twice", where, "maps/texels")
-    for name, lowest in (("maps/neighbours", -1), ("maps/seams", 0)):
-        if arrays[name].size and (arrays[name].min() < lowest or arrays[name].max() >= len(texels)):
-            raise _bad("a texel is named that does not exist", where, name)
-    _check_weights(arrays["maps/skin_weights"], 1e-3, where, "maps/skin_weights")
-    if np.abs(arrays["maps/positions"]).max() > _BOX:
-        raise _bad(f"a point is farther than {_BOX} m from the origin", where, "maps/positions")
-    if np.abs(arrays["maps/shape_directions"]).max() > 1:
-        raise _bad("the shape moves a point by more than a metre", where, "maps/shape_directions")
-    lengths = np.linalg.norm(arrays["maps/normals"], axis=1)
+    for name in FLOATS:
+        _check_range(arrays, f"maps/{name}", ARRAYS[name].low, ARRAYS[name].high, where)
+    _check_weights(maps["skin_weights"], 1e-3, where, "maps/skin_weights")
+    lengths = np.linalg.norm(maps["normals"], axis=1)
     if lengths.min() < 0.5 or lengths.max() > 1.01:
-        raise _bad("a normal has not length one", where, "maps/normals")
-    for name, lowest_value, highest_value in (
-        ("spacing", 1e-6, 1.0),
-        ("colors", -0.01, 1.01),
-        ("color_confidence", 0, 2),
-    ):
-        _check_range(arrays, f"maps/{name}", lowest_value, highest_value, where)
+        raise _bad("a normal does not have length one", where, "maps/normals")
 
 
 def _check_body(arrays: Arrays, where: str) -> None:
@@ -260,8 +234,8 @@ def _check_body(arrays: Arrays, where: str) -> None:
     _check_weights(arrays["body/skin_weights"], 1e-2, where, "body/skin_weights")
     if np.abs(arrays["body/joint_regressor"].sum(axis=1) - 1).max() > 1e-2:
         raise _bad("rows do not sum to one", where, "body/joint_regressor")
-    if np.abs(vertices).max() > _BOX:
-        raise _bad(f"a point is farther than {_BOX} m from the origin", where, "body/template_vertices")
+    if np.abs(vertices).max() > BOX:
+        raise _bad(f"a point is farther than {BOX} m from the origin", where, "body/template_vertices")
 
 
 def _check_swap(grid_size: int, arrays: Arrays, where: str) -> None:

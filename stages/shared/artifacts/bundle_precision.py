@@ -8,14 +8,11 @@ from __future__ import annotations
 import numpy as np
 
 from stages.shared.artifacts.arrays import Arrays
+from stages.shared.texel_maps import ARRAYS
 
 PRECISIONS = ("float16", "float32")
 HALF = (
-    "maps/normals",
-    "maps/skin_weights",
-    "maps/shape_directions",
-    "maps/colors",
-    "maps/color_confidence",
+    *(f"maps/{name}" for name, array in ARRAYS.items() if array.half),
     "swap/offsets",
     "swap/quaternions",
     "skin/covered",

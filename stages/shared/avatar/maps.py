@@ -16,17 +16,10 @@ import torch
 from torch import Tensor
 
 from stages.shared.errors import BadData
+from stages.shared.texel_maps import ARRAYS, FLOATS, OTHER_ARRAYS, index_problem, texel_links
 
-MAX_VIEWS = 32
-_FLOATS = {
-    "positions": (3,),
-    "normals": (3,),
-    "skin_weights": (55,),
-    "shape_directions": (10, 3),
-    "spacing": (),
-    "colors": (3,),
-    "color_confidence": (),
-}
+_INDICES = ("texels", "neighbours", "seams")
+_LARGEST_GRID = 1 << 15  # texels per side: pixel ids of all views fit into 64 bits
 
 
 @dataclass(frozen=True)
@@ -90,8 +83,8 @@ class LayerMaps:
         """
         where = f"maps of layer {layer}"
         _check(arrays, int(grid_size), where)
-        tensors = {name: torch.from_numpy(np.array(arrays[name], dtype=np.float32)) for name in _FLOATS}
-        for name in ("texels", "neighbours", "seams"):
+        tensors = {name: torch.from_numpy(np.array(arrays[name], dtype=np.float32)) for name in FLOATS}
+        for name in _INDICES:
             tensors[name] = torch.from_numpy(np.array(arrays[name], dtype=np.int64))
         window = tuple(int(value) for value in arrays["window"])
         centre = tuple(float(value) for value in centre)
@@ -99,8 +92,8 @@ class LayerMaps:
 
     def arrays(self) -> dict[str, np.ndarray]:
         """The arrays `from_arrays` reads: float32, indices int32."""
-        arrays = {name: getattr(self, name).cpu().numpy() for name in _FLOATS}
-        for name in ("texels", "neighbours", "seams"):
+        arrays = {name: getattr(self, name).cpu().numpy() for name in FLOATS}
+        for name in _INDICES:
             arrays[name] = getattr(self, name).cpu().numpy().astype(np.int32)
         arrays["window"] = np.array(self.window, dtype=np.int32)
         return arrays
@@ -153,6 +146,10 @@ class LayerMaps:
         view, row, column = self.texels.unbind(dim=1)
         return (view * self.grid_size + row) * self.grid_size + column
 
+    def links(self) -> tuple[np.ndarray, np.ndarray]:
+        """Both ends (K,) int64 of every link between texels (`texel_links`)."""
+        return texel_links(self.neighbours.cpu().numpy(), self.seams.cpu().numpy())
+
     def covered_by(self, others: list[LayerMaps]) -> Tensor:
         """(N,) bool: texels whose map pixel also belongs, on the same side, to one of the `others`.
 
@@ -179,31 +176,24 @@ class LayerMaps:
 
 def _check(arrays: dict[str, np.ndarray], grid_size: int, where: str) -> None:
     """Refuse arrays that do not fit together, before anything is indexed with them."""
-    needed = {*_FLOATS, "texels", "neighbours", "seams", "window"}
-    missing = sorted(needed - arrays.keys())
+    missing = sorted({*ARRAYS, *OTHER_ARRAYS} - arrays.keys())
     if missing:
         raise _broken(f"The array {missing[0]!r} is missing.", where)
     count = arrays["texels"].shape[0]
-    for name, shape in {**_FLOATS, "texels": (3,), "neighbours": (4,)}.items():
-        if arrays[name].shape != (count, *shape):
-            raise _broken(f"{name} has shape {arrays[name].shape}, not {(count, *shape)}.", where)
-    for name in _FLOATS:
+    for name, array in ARRAYS.items():
+        if arrays[name].shape != (count, *array.shape):
+            raise _broken(f"{name} has shape {arrays[name].shape}, not {(count, *array.shape)}.", where)
+    for name in FLOATS:
         if not np.isfinite(arrays[name]).all():
             raise _broken(f"{name} holds NaN or infinity.", where)
     if arrays["window"].shape != (4,) or arrays["seams"].ndim != 2 or arrays["seams"].shape[1] != 2:
         raise _broken("window or seams has a wrong shape.", where)
-    row0, col0, height, width = (int(value) for value in arrays["window"])
-    low = np.array([0, row0, col0])
-    high = np.array([MAX_VIEWS, row0 + height, col0 + width])
-    texels = arrays["texels"]
-    inside = min(row0, col0) >= 0 and max(row0 + height, col0 + width) <= grid_size <= 1 << 15
-    if (np.diff(texels[:, 0]) < 0).any():
+    if (np.diff(arrays["texels"][:, 0]) < 0).any():
         raise _broken("Texels of a later view stand before texels of an earlier one.", where)
-    if not inside or min(height, width) < 0 or (texels < low).any() or (texels >= high).any():
-        raise _broken("A texel lies outside the window, or the window outside the grid.", where)
-    neighbours, seams = arrays["neighbours"], arrays["seams"]
-    if (neighbours < -1).any() or (neighbours >= count).any() or (seams < 0).any() or (seams >= count).any():
-        raise _broken("neighbours or seams name a texel that does not exist.", where)
+    if grid_size > _LARGEST_GRID:
+        raise _broken(f"The grid has more than {_LARGEST_GRID} texels per side.", where)
+    if problem := index_problem(arrays, grid_size):
+        raise _broken(f"{problem[1]}: {problem[0]}.", where)
 
 
 def _broken(what: str, where: str) -> BadData:

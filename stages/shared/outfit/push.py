@@ -124,10 +124,7 @@ def smooth_field(smoothing: sparse.csr_matrix, need: Floats, along: Floats) -> F
 def _smoothing(maps: LayerMaps) -> sparse.csr_matrix:
     """Means over neighbours in a view and across seams; a texel without any keeps its own value."""
     count = len(maps)
-    neighbours, seams = maps.neighbours.numpy(), maps.seams.numpy()
-    start, side = np.nonzero(neighbours >= 0)
-    first = np.concatenate([start, seams[:, 0], seams[:, 1]])
-    second = np.concatenate([neighbours[start, side], seams[:, 1], seams[:, 0]])
+    first, second = maps.links()
     alone = np.setdiff1d(np.arange(count), first)
     first, second = np.concatenate([first, alone]), np.concatenate([second, alone])
     degree = np.bincount(first, minlength=count).astype(np.float32)

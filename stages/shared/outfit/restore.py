@@ -131,7 +131,7 @@ def _discs(maps: LayerMaps) -> tuple[Tensor, Tensor, Tensor]:
     down = functional.normalize(torch.where(flat, normals.new_tensor([1.0, 0.0, 0.0]), down), dim=1)
     across = functional.normalize(torch.linalg.cross(normals, down), dim=1)
     axes = torch.stack((torch.linalg.cross(across, normals), across, normals), dim=2)
-    first, second = (torch.from_numpy(end) for end in _links(maps))
+    first, second = (torch.from_numpy(end) for end in maps.links())
     away = ((maps.positions[second] - maps.positions[first])[:, None] @ axes[first, :, :2])[:, 0].abs()
     ahead = functional.one_hot(away.argmax(dim=1), 2) * (away > 0)  # the axis that a neighbour lies on
     count = away.new_zeros(len(maps), 2).index_add(0, first, ahead.to(away))
@@ -143,15 +143,6 @@ def _discs(maps: LayerMaps) -> tuple[Tensor, Tensor, Tensor]:
     return quaternions, scales, torch.full_like(maps.spacing, _OPACITY)
 
 
-def _links(maps: LayerMaps) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Pairs of texels that meet, on the map or along a seam: every pair both ways."""
-    neighbours, seams = maps.neighbours.numpy(), maps.seams.numpy()
-    start, side = np.nonzero(neighbours >= 0)
-    first = np.concatenate([start, seams[:, 0], seams[:, 1]])
-    second = np.concatenate([neighbours[start, side], seams[:, 1], seams[:, 0]])
-    return first, second
-
-
 def _spread(
     maps: LayerMaps, values: Floats, known: NDArray[np.bool_], apart: NDArray[np.bool_], mean: Floats
 ) -> Floats:
@@ -160,7 +151,7 @@ def _spread(
     Arguments:
         apart: texels that give nothing and take nothing, as shoes. mean: (C,) what is far from all known.
     """
-    first, second = _links(maps)
+    first, second = maps.links()
     linked = ~apart[first] & ~apart[second]
     first, second = first[linked], second[linked]
     count = len(maps)

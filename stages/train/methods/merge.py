@@ -6,10 +6,12 @@ from collections.abc import Sequence
 from dataclasses import fields, replace
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from stages.shared.avatar.maps import LayerMaps
+from stages.shared.texel_maps import neighbour_texels, texel_numbers
 
 _POKES_THROUGH = 0.01  # m: a fitted body that is in front of cloth by less than this lies under it
 _LARGEST_STEP = 0.03  # m in depth between neighbouring texels
@@ -62,15 +64,10 @@ def select(maps: LayerMaps, chosen: Tensor) -> LayerMaps:
 
 def neighbours_across_layers(maps: LayerMaps) -> Tensor:
     """(N, 4) texel above, right, below, left in the same view; −1 for none, or across a step in depth."""
-    view, row, column = maps.window_texels
-    height, width = maps.window[2:]
-    numbers = torch.full((2, height + 2, width + 2), -1)
-    numbers[view, row + 1, column + 1] = torch.arange(len(maps))
-    adjacent = [numbers[view, row + 1 + r, column + 1 + c] for r, c in ((-1, 0), (0, 1), (1, 0), (0, -1))]
-    neighbours = torch.stack(adjacent, dim=1)
-    depth = maps.positions[:, 2]
-    far = (depth[neighbours] - depth[:, None]).abs() > max(_LARGEST_STEP, 3 * maps.pitch)
-    return torch.where((neighbours >= 0) & ~far, neighbours, -1)
+    texels, jump = maps.texels.numpy(), max(_LARGEST_STEP, 3 * maps.pitch)
+    numbers = texel_numbers(texels, maps.window, maps.views)
+    neighbours = neighbour_texels(numbers, texels, maps.window, maps.positions[:, 2].numpy(), jump)
+    return torch.from_numpy(neighbours.astype(np.int64))
 
 
 def _window(texels: Tensor) -> tuple[int, int, int, int]:

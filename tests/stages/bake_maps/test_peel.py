@@ -125,6 +125,7 @@ def test_peeling_is_deterministic_and_leaves_the_first_hits_alone() -> None:
 
 def test_the_command_limits_the_sheets(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     asked = []
+    monkeypatch.setattr("gw_cli.bake_maps.check_inputs_of", lambda *arguments: None)
     monkeypatch.setattr(
         "stages.bake_maps.stage.plan", lambda subject, config: asked.append(config) or Plan([], [])
     )

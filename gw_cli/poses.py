@@ -9,7 +9,7 @@ import typer
 
 from gw_cli.console import Console, command
 from gw_cli.inputs import check_poses
-from gw_cli.options import DryRun, Json
+from gw_cli.options import DryRun, Json, one_of
 
 
 def register(app: typer.Typer) -> None:
@@ -17,15 +17,24 @@ def register(app: typer.Typer) -> None:
     @command
     def poses(
         source: Annotated[
-            Path, typer.Argument(metavar="FILE", help="smpl_params.npz, AMASS (SMPL-H, SMPL-X), or BVH.")
+            Path, typer.Argument(metavar="FILE", help="smpl_params.npz, AMASS, EasyMocap, or BVH.")
         ],
         output: Annotated[Path, typer.Option("-o", "--output", help="The smpl_params.npz to write.")],
         fps: Annotated[
             float, typer.Option(min=0, help="Resample to so many frames a second; 0: keep.")
         ] = 0.0,
         up: Annotated[
-            str, typer.Option(help="Axis of FILE that points up: y, z, or auto (AMASS z, smpl_params y).")
+            str,
+            typer.Option(
+                help="Axis of FILE that points up: x, y, z, -x, -y or -z; auto: z for AMASS, the rest pose's "
+                "for BVH, else y."
+            ),
         ] = "auto",
+        file_fps: Annotated[
+            float, typer.Option(min=0, help="Frame rate of FILE, where it states none or a wrong one.")
+        ] = 0.0,
+        length_unit: Annotated[str, typer.Option(help="Unit of FILE's translation: m, cm, mm.")] = "m",
+        degrees: Annotated[bool, typer.Option("--degrees", help="FILE's angles are degrees.")] = False,
         hands: Annotated[
             str, typer.Option(help="file, flat (stretched), or relaxed (the body model's mean hand).")
         ] = "file",
@@ -58,13 +67,16 @@ def register(app: typer.Typer) -> None:
         from stages.shared.outfit.sources import parse_frames
         from stages.shared.plan import Plan
         from stages.shared.poses.convert import amass_corrected, with_hands
+        from stages.shared.poses.pose_arrays import METRES_PER_UNIT, PoseUnits
         from stages.shared.poses.read import load_poses
         from stages.shared.targets import check_file_target
 
         console = Console(as_json)
         check_file_target(output, "-o walk.npz")
         body = load_body(body_model) if body_model else embedded_body()
-        motion = load_poses(source, body, fps or None, up)
+        one_of("--length-unit", length_unit, tuple(METRES_PER_UNIT), "unit of length")
+        units = PoseUnits(degrees, METRES_PER_UNIT[length_unit], file_fps or None)
+        motion = load_poses(source, body, fps or None, up, units, report=console)
         motion = with_hands(amass_corrected(motion) if correct_amass else motion, hands, body)
         motion = motion[parse_frames(frames, len(motion))]
         seconds = (len(motion) - 1) / motion.fps

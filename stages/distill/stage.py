@@ -47,7 +47,7 @@ def run(
     workspace = Workspace(subject)
     registered, baked, trained = (workspace.require(spec) for spec in (REGISTER_TEMPLATE, BAKE_MAPS, TRAIN))
     body = BodyModel.from_arrays(registered.arrays("body.safetensors"))
-    given = [load_poses(path, body) for path in motions]
+    given = [load_poses(path, body, report=report) for path in motions]
     inputs: dict[str, Artifact | ExternalFiles] = {
         "register-template": registered,
         "bake-maps": baked,

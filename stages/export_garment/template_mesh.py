@@ -51,7 +51,7 @@ def run(
     body = BodyModel.from_arrays(registered.arrays("body.safetensors"))
     arrays = segmented.arrays(f"{config.layer}.safetensors")
     mesh = SkinnedMesh(config.layer, *(arrays[name] for name in _ARRAYS))
-    motion = None if poses is None else load_poses(poses, body)
+    motion = None if poses is None else load_poses(poses, body, report=report)
     betas = np.zeros(10, np.float32)
     if config.own_shape:
         betas = load_poses(registered.file("smpl_params.npz"), body).betas

@@ -54,7 +54,7 @@ def register_mesh(source: Source, config: RegisterTemplateConfig, report: Report
         how: dict[str, Any] = {"parameters": "fitted", "up": fit.up, "loss": fit.loss, "turn": turn.tolist()}
         refuse_strangers(body, posed_body(body, poses), mesh, where)
     else:
-        poses, frame = load_poses(source.params, body), source.frame or 0
+        poses, frame = load_poses(source.params, body, one_person=True, report=report), source.frame or 0
         if frame >= len(poses):
             raise UsageProblem(
                 f"The pose file has {len(poses)} frames; there is no frame {frame}.",

@@ -44,7 +44,7 @@ def open_viewer(
     for reason in left_out:
         report.warn(f"left out: {reason}")
     body = shelf.outfit(shelf.worn, None).body_model
-    motions = [(path.name, load_poses(path, body, config.fps or None)) for path in poses]
+    motions = [(path.name, load_poses(path, body, config.fps or None, report=report)) for path in poses]
     if shelf.own_poses is not None:
         motions.append((AS_THEY_ARE[1], shelf.own_poses))
     motions.append(canonical_motion())

@@ -131,7 +131,7 @@ CASES: dict[str, tuple[Callable[[Path], object], type[GwError], str, str]] = {
     "160 columns": (
         lambda r: (r / WALK / "smpl_params.npz").write_bytes(npz_bytes({"poses": np.zeros((2, 160))})),
         BadData,
-        "lacks the array",
+        "(2, 160)",
         "smpl_params.npz",
     ),
     "pickled poses": (

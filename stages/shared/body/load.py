@@ -41,16 +41,16 @@ def load_body(path: Path) -> BodyModel:
         return _load_safetensors(path)
     with NumericNpz(path, "a body model") as file:
         arrays = {
-            "template_vertices": file.array("v_template"),
-            "faces": file.array("f").astype(np.int64),
-            "joint_regressor": file.array("J_regressor"),
-            "skin_weights": file.array("weights"),
+            "template_vertices": file.numbers("v_template"),
+            "faces": file.numbers("f").astype(np.int64),
+            "joint_regressor": file.numbers("J_regressor"),
+            "skin_weights": file.numbers("weights"),
             **_shape_and_expression(file),
         }
         if "kintree_table" in file:
-            check_parents(np.atleast_2d(file.array("kintree_table"))[0], str(path))
+            check_parents(np.atleast_2d(file.numbers("kintree_table"))[0], str(path))
         if "posedirs" in file:
-            directions = np.atleast_1d(file.array("posedirs"))
+            directions = np.atleast_1d(file.numbers("posedirs"))
             arrays["pose_directions"] = directions.reshape(-1, directions.shape[-1]).T
         for ours, theirs in (
             ("hand_components_left", "hands_componentsl"),
@@ -59,7 +59,7 @@ def load_body(path: Path) -> BodyModel:
             ("hand_mean_right", "hands_meanr"),
         ):
             if theirs in file:
-                arrays[ours] = file.array(theirs)
+                arrays[ours] = file.numbers(theirs)
     weights = arrays["skin_weights"].astype(np.float64)
     if weights.ndim == 2 and weights.size and weights.sum(axis=1).min() > 0.5:
         # Files in half precision or rounded text are a few 1e-4 off; skinning needs a partition of one.
@@ -76,7 +76,7 @@ def embedded_body() -> BodyModel:
 
 
 def _shape_and_expression(file: NumericNpz) -> dict[str, NDArray[Any]]:
-    directions = file.array("shapedirs")
+    directions = file.numbers("shapedirs")
     columns = directions.shape[-1] if directions.ndim == 3 else 0
     if columns < SHAPE_COUNT:
         raise BadData(

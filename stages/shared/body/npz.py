@@ -10,14 +10,28 @@ from types import TracebackType
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.shared.errors import BadData, MissingInput
+from stages.shared.errors import BadData
+from stages.shared.input_files import check_input_file
 
 _PICKLE_MAGIC = b"\x80"
 _ZIP_MAGIC = b"PK\x03\x04"
+# Up to this size an array may be packed as tightly as it will; a larger one may be this many times its
+# packed size.
+_FREE_BYTES = 64 << 20
+_LARGEST_RATIO = 50
 
 # What a spoiled archive can raise; RuntimeError and NotImplementedError (a kind of it) where it claims to be
 # encrypted, or packed in a way that this Python does not know.
-_UNREADABLE = (ValueError, EOFError, OSError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error)
+_UNREADABLE = (
+    ValueError,
+    TypeError,
+    EOFError,
+    OSError,
+    RuntimeError,
+    MemoryError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
 
 
 class NumericNpz:
@@ -30,14 +44,13 @@ class NumericNpz:
 
     Raises:
         MissingInput: there is no such file.
-        BadData: it is a pickle, not a zip, or damaged; from `array` also when an array is missing, holds
-            objects, is larger than `limit`, or contains NaN or infinity.
+        BadData: it is not a regular file, a pickle, not a zip, or damaged; from `array` also when an array
+            is missing, holds objects, is larger than `limit`, or contains NaN or infinity.
     """
 
     def __init__(self, path: Path, what: str, limit: int = 1 << 30) -> None:
         self.path, self.what, self.limit = Path(path), what, limit
-        if not self.path.is_file():
-            raise MissingInput(f"There is no file for {what}.", str(path), "Check the path.")
+        check_input_file(self.path, what)
         with self.path.open("rb") as stream:
             magic = stream.read(4)
         if magic[:1] == _PICKLE_MAGIC:
@@ -90,6 +103,13 @@ class NumericNpz:
                         f"{self.path}: {name} {shape}",
                         self._fix(),
                     )
+                packed = self._archive.getinfo(name + ".npy").compress_size
+                if size > _FREE_BYTES and size > _LARGEST_RATIO * packed:
+                    raise BadData(
+                        f"The array {name!r} would grow from {packed} bytes to {size / 2**20:.0f} MiB.",
+                        f"{self.path}: {name} {shape}",
+                        "Save it again without compression, if it really holds that much.",
+                    )
             with self._archive.open(name + ".npy") as stream:
                 values = np.lib.format.read_array(stream, allow_pickle=False)
         except _UNREADABLE as error:
@@ -103,8 +123,33 @@ class NumericNpz:
             )
         return values
 
+    def numbers(self, name: str) -> NDArray[np.float64]:
+        """The array called `name` in double precision.
+
+        Raises:
+            BadData: also for text, bytes, truth values, complex numbers and records, and for numbers that are
+                not finite in double precision.
+        """
+        values = self.array(name, finite=False)
+        if values.dtype.kind not in "fiu":
+            raise BadData(
+                f"{name} is not numeric: its type is {_kind(values.dtype)}.",
+                f"{self.path}: {name}",
+                "Store plain real numbers.",
+            )
+        with np.errstate(over="ignore"):
+            doubles = values.astype(np.float64)
+        if not np.isfinite(doubles).all():
+            index = [int(i) for i in np.argwhere(~np.isfinite(doubles))[0]]
+            raise BadData(
+                f"The array {name!r} contains NaN or infinity.", f"{self.path}: {name}{index}", self._fix()
+            )
+        return doubles
+
     def shape(self, name: str) -> tuple[int, ...]:
         """Shape of the array `name`, from its header alone."""
+        if name not in self.names:
+            self.array(name)  # raises: it lists what the file has
         try:
             with self._archive.open(name + ".npy") as stream:
                 return _header(stream)[0]
@@ -127,4 +172,18 @@ def _header(stream: object) -> tuple[tuple[int, ...], np.dtype[np.generic]]:
         shape, _, dtype = np.lib.format.read_array_header_1_0(stream)  # type: ignore[arg-type]
     else:
         shape, _, dtype = np.lib.format.read_array_header_2_0(stream)  # type: ignore[arg-type]
+    if any(type(side) is not int or side < 0 for side in shape):
+        raise ValueError(f"{shape} is not a shape")
     return shape, dtype
+
+
+def _kind(dtype: np.dtype[np.generic]) -> str:
+    names = {
+        "b": "truth values",
+        "c": "complex numbers",
+        "V": "records",
+        "S": "bytes",
+        "U": "text",
+        "O": "objects",
+    }
+    return names.get(dtype.kind, str(dtype))

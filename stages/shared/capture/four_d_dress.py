@@ -14,7 +14,7 @@ import numpy as np
 
 from stages.shared.body.model import BodyModel
 from stages.shared.body.npz import NumericNpz
-from stages.shared.body.poses import Poses, read_smpl_params
+from stages.shared.body.poses import Poses
 from stages.shared.capture.camera import Camera, checked_camera
 from stages.shared.capture.gather import make_take, numbered_files, view_files
 from stages.shared.capture.images import read_bytes
@@ -22,6 +22,7 @@ from stages.shared.capture.pickles import PickleReader, array_of, dictionary
 from stages.shared.capture.png import check_picture
 from stages.shared.capture.take import Capture, Split, Take
 from stages.shared.errors import BadData, MissingInput, UsageProblem
+from stages.shared.poses.npz_layouts import read_pose_arrays
 
 FORMAT: Final = "4d-dress"
 FPS: Final = 30.0
@@ -167,7 +168,8 @@ def _poses(frames: list[dict[str, Any]], folder: Path, body: BodyModel | None, n
             )
         else:
             arrays["flat_hand_mean"] = np.array(False)
-    return read_smpl_params(cast(NumericNpz, _Stack(folder, arrays)), body)
+    stack = cast(NumericNpz, _Stack(folder, arrays))
+    return read_pose_arrays(stack, body, notes.append, one_person=True)[0]
 
 
 class _Stack:
@@ -176,10 +178,20 @@ class _Stack:
     def __init__(self, path: Path, arrays: dict[str, np.ndarray]) -> None:
         self.path, self.arrays = path, arrays
 
+    @property
+    def names(self) -> frozenset[str]:
+        return frozenset(self.arrays)
+
     def __contains__(self, name: str) -> bool:
         return name in self.arrays
 
-    def array(self, name: str) -> np.ndarray:
+    def shape(self, name: str) -> tuple[int, ...]:
+        return self.arrays[name].shape
+
+    def numbers(self, name: str) -> np.ndarray:
+        return self.array(name).astype(np.float64)
+
+    def array(self, name: str, finite: bool = True) -> np.ndarray:
         values = self.arrays[name]
         if values.dtype.kind == "f" and not np.isfinite(values).all():
             raise BadData(f"{name} contains NaN or infinity.", str(self.path), "Get the files again.")

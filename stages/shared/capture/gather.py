@@ -9,14 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.shared.body.easymocap import is_easymocap, read_easymocap
 from stages.shared.body.model import BodyModel
 from stages.shared.body.npz import NumericNpz
-from stages.shared.body.poses import MAX_FRAMES, Poses, read_smpl_params
+from stages.shared.body.poses import MAX_FRAMES, Poses
 from stages.shared.body.skeleton import EXPRESSION_COUNT, JOINT_COUNT, SHAPE_COUNT
 from stages.shared.capture.camera import Camera
 from stages.shared.capture.take import Split, Take, ViewFiles
 from stages.shared.errors import BadData, MissingInput
+from stages.shared.poses.npz_layouts import read_pose_arrays, stated_fps
 
 MISSING_LIST = "missing_img_files.txt"
 _MAX_NAMES = 1_000_000
@@ -79,8 +79,14 @@ def read_poses(path: Path, body: BodyModel | None, fps: float | None, usual_fps:
     if not path.is_file():
         return float(usual_fps if fps is None else fps)
     with NumericNpz(path, "a pose file") as file:
-        poses = read_easymocap(file, body) if is_easymocap(file.names) else read_smpl_params(file, body)
-        stated = "fps" in file
+        poses, up = read_pose_arrays(file, body, lambda text: None, one_person=True)
+        if up != "y":
+            raise BadData(
+                "These are pose vectors of AMASS; a capture's poses are in the world of its cameras.",
+                str(path),
+                "Store them as smpl_params.npz: gw poses FILE -o smpl_params.npz.",
+            )
+        stated = stated_fps(file) is not None
     if fps is None and stated:
         return poses
     return replace(poses, fps=float(usual_fps if fps is None else fps))

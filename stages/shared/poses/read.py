@@ -4,66 +4,109 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from stages.shared.body.easymocap import is_easymocap, read_easymocap
 from stages.shared.body.model import BodyModel
 from stages.shared.body.npz import NumericNpz
-from stages.shared.body.poses import Poses, is_smpl_params, read_smpl_params
-from stages.shared.errors import BadData, MissingInput, UsageProblem
-from stages.shared.poses.amass import read_pose_vectors
+from stages.shared.body.poses import Poses
+from stages.shared.errors import BadData, UsageProblem
+from stages.shared.finite import require_finite
+from stages.shared.input_files import check_input_file, decode_text
 from stages.shared.poses.bvh import read_bvh
-from stages.shared.poses.convert import UPS, y_up_from_z_up
-from stages.shared.poses.resample import resample
+from stages.shared.poses.convert import UPS, check_length, resample, y_up
+from stages.shared.poses.npz_layouts import read_pose_arrays
+from stages.shared.poses.plausibility import motion_warnings
+from stages.shared.poses.pose_arrays import PoseUnits
+from stages.shared.report import SILENT, Report
 
 MAX_FILE_BYTES = 1 << 30
 
 
 def load_poses(
-    path: Path, body: BodyModel | None = None, fps: float | None = None, up: str = "auto"
+    path: Path,
+    body: BodyModel | None = None,
+    fps: float | None = None,
+    up: str = "auto",
+    units: PoseUnits = PoseUnits(),
+    one_person: bool = False,
+    report: Report = SILENT,
 ) -> Poses:
-    """Read a pose file: `smpl_params.npz`, EasyMocap's, AMASS SMPL-H (156 values) or SMPL-X (165), BVH.
-
-    `smpl_params.npz` is also what Animatable Gaussians, ActorsHQ and THuman4 fits are distributed as.
+    """Read a pose file: the `.npz` layouts of SMPL, SMPL-H and SMPL-X programs, or BVH.
 
     Arguments:
         path: the file; what it is is found out from its content, not from its name.
-        body: model that the poses are for. Needed for BVH (rest pose and leg length), for 12-value hands, and
-            for the exact place of z-up motion (the pelvis of the mean body is used without one).
+        body: model that the poses are for. Needed for BVH (rest pose and leg length), for hands as
+            coefficients, and for the exact place of a motion with another up axis (a mean pelvis is used
+            without one).
         fps: resample to this frame rate; None keeps the file's own.
-        up: axis of the file's world that points up: "y", "z", or "auto": z for AMASS, y for
-            `smpl_params.npz`; BVH shows it by itself.
+        up: axis of the file's world that points up, one of `UPS`; "auto" is z for AMASS, y for the other
+            `.npz` layouts, and the one of the rest pose for BVH.
+        units: what the file does not state about itself.
+        one_person: the file is a fit of one person, so translation and one shape are required.
+        report: is warned of what was assumed, and of a motion that is not plausible. Without it nothing of
+            that is looked at.
 
     Returns:
         Poses in the world of `gw`: metres, y up. Betas are the file's where they are of the 10-value
-        convention (`smpl_params.npz`), else zero.
+        convention (not those of AMASS), else zero.
 
     Raises:
         MissingInput: no such file.
-        BadData: unknown layout, wrong columns, NaN, missing arrays, too large, no frames.
-        UsageProblem: another `up`, or one for a BVH file.
+        BadData: unknown layout, other shapes, values that are not finite, too large, no frames.
+        UsageProblem: an `up` that is not one of `UPS`; units for a BVH file, which has its own.
     """
     if up not in UPS:
-        raise UsageProblem(f"No axis called {up!r} points up.", "option --up", "Choose auto, y or z.")
+        raise UsageProblem(
+            f"No axis called {up!r} points up.", "option --up", "Choose one of: " + ", ".join(UPS) + "."
+        )
     path = Path(path)
-    if not path.is_file():
-        raise MissingInput("There is no pose file.", str(path), "Check the path.")
-    if path.stat().st_size > MAX_FILE_BYTES:
-        raise BadData("The pose file is larger than 1 GiB.", str(path), "Cut the motion into shorter files.")
-    with path.open("rb") as stream:
-        opening = stream.read(64).lstrip()
-    if opening[:9].upper() == b"HIERARCHY":
-        if up != "auto":
+    check_input_file(path, "a pose file", MAX_FILE_BYTES)
+
+    def note(text: str) -> None:
+        report.warn(f"{path.name}: {text}")
+
+    if _is_bvh(path):
+        if units.degrees or units.metres != 1.0:
             raise UsageProblem(
-                "Which axis of a BVH file points up is found from its motion.", str(path), "Leave --up out."
+                "Angles of BVH are degrees, and its lengths are scaled by the legs.",
+                str(path),
+                "Leave --degrees and --length-unit out.",
             )
-        poses = read_bvh(path, body)
+        poses, axis = read_bvh(path, body, up, note, units.fps)
+    elif not _is_archive(path):
+        raise BadData(
+            "This is not a pose file of a known kind: neither BVH nor an .npz archive.",
+            str(path),
+            "Give a smpl_params.npz, an AMASS or EasyMocap .npz, or a BVH file.",
+        )
     else:
         with NumericNpz(path, "a pose file", limit=MAX_FILE_BYTES) as file:
-            if is_easymocap(file.names):
-                poses = read_easymocap(file, body)
-                poses = y_up_from_z_up(poses, body) if up == "z" else poses
-            elif is_smpl_params(file.names):
-                poses = read_smpl_params(file, body)
-                poses = y_up_from_z_up(poses, body) if up == "z" else poses
-            else:
-                poses = read_pose_vectors(file, body, z_up=up != "y")
-    return poses if fps is None else resample(poses, fps)
+            poses, axis = read_pose_arrays(file, body, note, one_person, units)
+        axis = axis if up == "auto" else up
+        poses = y_up(poses, axis, body)
+    try:
+        require_finite("load_poses", rotations=poses.rotations, translation=poses.translation)
+        require_finite("load_poses", betas=poses.betas, expression=poses.expression)
+    except BadData as error:
+        raise BadData(
+            "The motion is beyond what 32 bits can hold.",
+            f"{path}: {error.where}",
+            "Export the motion again.",
+        ) from error
+    if report is not SILENT:
+        for warning in motion_warnings(poses, axis, body):
+            note(warning)
+    if fps is None:
+        return poses
+    check_length(poses, fps, str(path))
+    return resample(poses, fps)
+
+
+def _is_bvh(path: Path) -> bool:
+    with path.open("rb") as stream:
+        opening = decode_text(stream.read(4096), errors="replace")
+    return opening.lstrip()[:9].upper() == "HIERARCHY"
+
+
+def _is_archive(path: Path) -> bool:
+    """Whether the file begins like a zip archive, or like a pickle, which has an explanation of its own."""
+    with path.open("rb") as stream:
+        return stream.read(4)[:2] in (b"PK", b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05")

@@ -83,7 +83,7 @@ def run(
     outputs, share = _outputs(command, config, sources, cameras_path is not None), parse_share(config.shard)
     check_output(output, RESULT_NAME, command.mark)
     report.step("reading")
-    sequence = open_sequence(sources, poses_path, cameras_path, config)
+    sequence = open_sequence(sources, poses_path, cameras_path, config, report)
     outfit, poses, frames = sequence.outfit, sequence.poses, sequence.frames
     report.say(f"{' < '.join(outfit.names)}: {outfit.gaussians} Gaussians, {len(frames)} frames")
     report.step("rendering")

@@ -23,6 +23,7 @@ from stages.shared.poses.read import load_poses
 from stages.shared.render_sequence.camera_path import path_cameras
 from stages.shared.render_sequence.config import CANONICAL, RenderConfig
 from stages.shared.render_sequence.outputs import SequenceFrame
+from stages.shared.report import SILENT, Report
 
 _CODE_VERSION = 3  # raised when the same inputs give other files
 _STILL_FRAMES = 90  # of the canonical pose, for a camera that moves around it
@@ -58,7 +59,11 @@ class RenderSequence:
 
 
 def open_sequence(
-    sources: Sequence[Path], poses_path: Path | None, cameras_path: Path | None, config: RenderConfig
+    sources: Sequence[Path],
+    poses_path: Path | None,
+    cameras_path: Path | None,
+    config: RenderConfig,
+    report: Report = SILENT,
 ) -> RenderSequence:
     """Read outfit, poses and cameras. Raises as `run` does."""
     outfit, subject_poses, digests = _open_outfit(sources, config)
@@ -71,7 +76,7 @@ def open_sequence(
     if poses_path is not None and poses_path == Path(CANONICAL):
         poses = canonical_poses(1 if config.camera in ("", "static") else _STILL_FRAMES)
     elif poses_path is not None:
-        poses = load_poses(poses_path, outfit.body_model, config.fps or None)
+        poses = load_poses(poses_path, outfit.body_model, config.fps or None, report=report)
         if config.ground and take is None:
             poses = grounded(poses, outfit.body_model, outfit.betas)
     elif take is not None:

@@ -21,7 +21,7 @@ from stages.shared.avatar.deform import Attributes, pose_layer, shaped_positions
 from stages.shared.avatar.motion import RATES, UP, motion_scale, recent_motion, time_constant
 from stages.shared.body import Poses
 from stages.shared.outfit.push import smooth_field
-from stages.shared.poses.resample import resample
+from stages.shared.poses.convert import resample
 from stages.shared.splat.api import rasterize
 from stages.stability.function import Function, Inputs, unit
 from stages.stability.functions.sheet import SIDE, sheet

@@ -13,8 +13,7 @@ from safetensors.numpy import save_file
 from stages.shared.body import JOINTS, PARENTS, BodyModel, embedded_body, load_body, shaped_joints
 from stages.shared.body.load import EMBEDDED_FILE
 from stages.shared.errors import BadData, MissingInput
-
-from .conftest import VERTICES, smplx_arrays
+from tests.shared.conftest import VERTICES, smplx_arrays
 
 
 def write(path: Path, **changes: np.ndarray | None) -> Path:

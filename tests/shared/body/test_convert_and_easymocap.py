@@ -137,6 +137,10 @@ def test_easymocap_that_cannot_be_read(tmp_path: Path) -> None:
         load_poses(path)
     with pytest.raises(BadData, match="hand"):
         load_poses(path, embedded_body())
-    np.savez(path, poses=np.zeros((2, 72)), Rh=np.zeros((2, 3)), Th=np.zeros((2, 3)))
-    with pytest.raises(BadData, match="72"):
+    for columns in (71, 90, 160):
+        np.savez(path, poses=np.zeros((2, columns)), Rh=np.zeros((2, 3)), Th=np.zeros((2, 3)))
+        with pytest.raises(BadData, match=f"poses has shape .2, {columns}"):
+            load_poses(path, embedded_body())
+    np.savez(path, poses=np.ones((2, 72)), Rh=np.zeros((2, 3)), Th=np.zeros((2, 3)))
+    with pytest.raises(BadData, match="turns the root, and so does Rh"):
         load_poses(path, embedded_body())

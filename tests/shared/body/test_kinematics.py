@@ -23,8 +23,7 @@ from stages.shared.body import (
     shaped_joints,
     skin,
 )
-
-from .conftest import VERTICES
+from tests.shared.conftest import VERTICES
 
 
 def random_pose(seed: int, size: float = 0.5) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

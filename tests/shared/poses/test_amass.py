@@ -69,7 +69,7 @@ def test_the_same_body_stands_upright(tmp_path: Path) -> None:
     [
         (vectors(160), {}, r"\(6, 160\)"),
         (vectors(165) * np.nan, {}, "NaN"),
-        (vectors(165), {"trans": np.zeros((5, 3))}, "trans has shape"),
+        (vectors(165), {"trans": np.zeros((5, 3))}, "trans has 5 rows"),
         (vectors(165), {"mocap_framerate": np.array(0.0)}, "frame rate"),
         (np.zeros((0, 165)), {}, "0 frames"),
         (np.zeros(165), {}, r"\(165,\)"),
@@ -84,10 +84,10 @@ def test_wrong_vectors_are_refused(
 
 def test_other_files_are_refused(tmp_path: Path) -> None:
     np.savez(tmp_path / "other.npz", x=np.zeros(3))
-    with pytest.raises(BadData, match="lacks the array 'poses'"):
+    with pytest.raises(BadData, match="no body poses"):
         load_poses(tmp_path / "other.npz")
     (tmp_path / "clip.fbx").write_bytes(b"Kaydara FBX Binary")
-    with pytest.raises(BadData, match="cannot be read as a pose file"):
+    with pytest.raises(BadData, match="not a pose file of a known kind"):
         load_poses(tmp_path / "clip.fbx")
     with pytest.raises(MissingInput):
         load_poses(tmp_path / "nothing.npz")

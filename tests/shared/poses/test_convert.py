@@ -127,7 +127,7 @@ def test_command_writes_what_every_command_reads(tmp_path: Path) -> None:
         written.rotations[:, 1:22], load_poses(path).rotations[[2, 6], 1:22], atol=1e-6
     )
     assert written.fps == 30 and not written.rotations[:, 25:].any()
-    for wrong, code in ((["--up", "x"], 2), (["--hands", "fists"], 2), (["--frames", "99:"], 2)):
+    for wrong, code in ((["--up", "w"], 2), (["--hands", "fists"], 2), (["--frames", "99:"], 2)):
         assert CliRunner().invoke(app, [*words, *wrong]).exit_code == code
     (tmp_path / "no.npz").write_bytes(b"nothing")
     assert CliRunner().invoke(app, ["poses", str(tmp_path / "no.npz"), "-o", str(out)]).exit_code == 65

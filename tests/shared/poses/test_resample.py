@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from stages.shared.body import Poses
 from stages.shared.errors import UsageProblem
-from stages.shared.poses.resample import resample
+from stages.shared.poses.convert import resample
 
 
 def some_poses(frames: int, fps: float) -> Poses:

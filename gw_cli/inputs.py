@@ -49,7 +49,7 @@ def check_sources(sources: list[Path]) -> None:
 def check_poses(paths: Iterable[Path | None]) -> None:
     """Raise when a pose file is missing. None and `canonical` are not files."""
     for path in paths:
-        if path is not None and str(path) != CANONICAL and not path.is_file():
+        if path is not None and str(path) != CANONICAL and not path.exists():
             raise MissingInput("There is no pose file.", str(path), "Check the path.")
 
 

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 
 import torch
 from torch import Tensor
 
 from stages.shared.artifacts import Progress
 from stages.shared.errors import BadData
-from stages.train.trainer import Trainer
+from stages.train.trainer import StepReport, Trainer
 
 CHECKPOINT_NAME = "checkpoint.safetensors"
 METRICS_NAME = "metrics.jsonl"
@@ -32,8 +33,13 @@ class RunState:
     skipped_in_a_row: int = 0
 
 
-def save(progress: Progress, trainer: Trainer, state: RunState) -> None:
-    """Replace the checkpoint; bit-exact, so that a resumed run gives the same weights (on a CPU)."""
+def save(
+    progress: Progress, trainer: Trainer, state: RunState, unreported: Sequence[StepReport] = ()
+) -> None:
+    """Replace the checkpoint; bit-exact, so that a resumed run gives the same weights (on a CPU).
+
+    `unreported`: steps that no line of the metrics covers yet.
+    """
     arrays = {}
     for name, parameter in trainer.parameters.items():
         arrays[f"value.{name}"] = parameter.detach().cpu().numpy()
@@ -45,7 +51,19 @@ def save(progress: Progress, trainer: Trainer, state: RunState) -> None:
     if trainer.tracker is not None and not state.step:
         for name, layer in trainer.tracker.tracked.items():
             arrays[f"tracked.{name}"] = layer.found.numpy()
-    progress.write_arrays(CHECKPOINT_NAME, arrays, vars(state))
+    steps = [
+        asdict(step) if step.finite else {**asdict(step), "terms": {}, "gradient_norm": 0.0}
+        for step in unreported
+    ]
+    progress.write_arrays(CHECKPOINT_NAME, arrays, {**vars(state), "unreported": steps})
+
+
+def unreported_steps(progress: Progress) -> list[StepReport]:
+    """The steps that no line of the metrics covered when the checkpoint was written; [] without one."""
+    if not progress.has(CHECKPOINT_NAME):
+        return []
+    _, note = progress.arrays(CHECKPOINT_NAME)
+    return [StepReport(**{**step, "cameras": tuple(step["cameras"])}) for step in note.get("unreported", [])]
 
 
 def restore(progress: Progress, trainer: Trainer) -> RunState:
@@ -57,6 +75,7 @@ def restore(progress: Progress, trainer: Trainer) -> RunState:
     if not progress.has(CHECKPOINT_NAME):
         return RunState()
     arrays, note = progress.arrays(CHECKPOINT_NAME)
+    note.pop("unreported", None)
     state = RunState(**note)
     for name, parameter in trainer.parameters.items():
         value = arrays.get(f"value.{name}")

@@ -5,10 +5,10 @@ from __future__ import annotations
 import signal
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import Any
+from typing import Any, NoReturn
 
 from stages.shared.artifacts import Progress
 from stages.shared.artifacts.pictures import encode_png
@@ -40,10 +40,10 @@ def learn(
     """Steps until the schedule ends; checkpoints, metrics and previews on the way, to a `board` too."""
     config, processes = trainer.config, trainer.processes
     shown = preview_views(trainer.views, trainer.frames)
-    pending: list[StepReport] = []
+    pending = checkpoint.unreported_steps(progress)
 
     def keep() -> None:
-        checkpoint.save(progress, trainer, state)
+        checkpoint.save(progress, trainer, state, pending)
 
     reading = trainer.views.ahead.reading()
     with _interrupt_flag() as interrupted, processes.failing_together(keep), reading:
@@ -55,7 +55,7 @@ def learn(
             turn = processes.turn(state.elapsed, interrupted.is_set())
             state.elapsed = turn.elapsed
             if turn.stop:
-                _stop(trainer, progress, state, report, f"step {state.step}")
+                _stop(keep, report, f"step {state.step}")
             if schedule.progress(config, state.step, state.elapsed) >= 1.0:
                 break
             started = time.monotonic()
@@ -109,16 +109,16 @@ def _follow(
         state.elapsed = turn.elapsed
         report.progress(state.tracked, len(tracker.order))
         if turn.stop:
-            _stop(trainer, progress, state, report, f"frame {state.tracked}")
+            _stop(lambda: checkpoint.save(progress, trainer, state), report, f"frame {state.tracked}")
         if state.tracked == len(tracker.order) or time.monotonic() - saved > _CHECKPOINT_SECONDS:
             checkpoint.save(progress, trainer, state)
             saved = time.monotonic()
     processes.spread(list(trainer.parameters.values()))
 
 
-def _stop(trainer: Trainer, progress: Progress, state: RunState, report: Report, place: str) -> None:
-    """Leave a checkpoint, and the run."""
-    checkpoint.save(progress, trainer, state)
+def _stop(save: Callable[[], None], report: Report, place: str) -> NoReturn:
+    """Write a checkpoint and end the run."""
+    save()
     report.say(f"checkpoint written at {place}")
     raise KeyboardInterrupt
 

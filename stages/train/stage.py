@@ -137,9 +137,9 @@ def run(
             models = {name: model.config for name, model in trainer.models.items()}
             grids = {"grids": source.start.grids} if source.start.layers else {}
             build.write_json("model.json", {"layers": models, "method": config.method, **grids})
-            build.write_bytes(METRICS_NAME, (progress.path / METRICS_NAME).read_bytes())
+            build.write_record(METRICS_NAME, (progress.path / METRICS_NAME).read_bytes())
             for picture in sorted((progress.path / "previews").glob("*.png")):
-                build.write_bytes(f"previews/{picture.name}", picture.read_bytes())
+                build.write_record(f"previews/{picture.name}", picture.read_bytes())
             build.summary(**_summary(trainer, source.start, state, progress))
             build.measured(training_seconds=round(state.elapsed, 1))
         processes.turn()

@@ -9,7 +9,7 @@ from typing import Any
 from stages.shared.artifacts.arrays import Arrays, decode_arrays
 from stages.shared.artifacts.canonical import digest, strict_json, unseal
 from stages.shared.artifacts.external import DigestCache, file_digest
-from stages.shared.artifacts.manifest import RUN_NAME, Manifest, read_manifest
+from stages.shared.artifacts.manifest import RUN_NAME, FileEntry, Manifest, is_plain_name, read_manifest
 from stages.shared.errors import BadData, MissingInput
 
 
@@ -73,6 +73,33 @@ class Artifact:
             return unseal(path.read_bytes(), path)
         except OSError as error:
             raise self._damaged(RUN_NAME, "it is missing") from error
+
+    @property
+    def records(self) -> dict[str, FileEntry]:
+        """Files about the run that made it, by name; not part of its content. Raises BadData as `run`."""
+        entries = self.run.get("records", {})
+        try:
+            records = {name: FileEntry(**entry) for name, entry in entries.items()}
+        except (AttributeError, TypeError) as error:
+            raise self._damaged(RUN_NAME, f"its records are not understood ({error})") from error
+        if not all(is_plain_name(name) for name in records):
+            raise self._damaged(RUN_NAME, "a record lies outside of the artifact")
+        return records
+
+    def record(self, name: str) -> bytes:
+        """Content of a file about the run. Raises MissingInput, BadData as `arrays`."""
+        entry = self.records.get(name)
+        if entry is None:
+            raise MissingInput(
+                f"The artifact of {self.stage} holds no record {name!r}.", str(self.path), "Run it again."
+            )
+        try:
+            data = (self.path / name).read_bytes()
+        except OSError as error:
+            raise self._damaged(name, "it is missing") from error
+        if digest(data) != entry.sha256:
+            raise self._damaged(name, "its content has changed")
+        return data
 
     def has(self, name: str) -> bool:
         """Whether there is a file of this name."""

@@ -70,6 +70,7 @@ class Build:
         self._force = force
         self._manifest = Manifest(spec.name, spec.schema, spec.code_version, plain(config))
         self._measured: dict[str, Any] = {}
+        self._records: dict[str, FileEntry] = {}
         self.path = workspace.root / f".{spec.name}{TEMPORARY}{secrets.token_hex(6)}"
         self.artifact: Artifact
 
@@ -110,6 +111,18 @@ class Build:
     def write_picture(self, name: str, picture: np.ndarray) -> None:
         """Write a picture (H, W), (H, W, 3) or (H, W, 4) uint8 sRGB as PNG."""
         self._write(name, encode_png(picture))
+
+    def write_record(self, name: str, data: Chunks) -> None:
+        """Write a file about this run (a log with times, previews made by the clock).
+
+        It is kept and verified like the others, but it is not part of what names the artifact: two runs with
+        the same result have the same digest.
+        """
+        self._check_name(name)
+        make_folders((self.path / name).parent)
+        write_file(self.path / name, data)
+        path = self.path / name
+        self._records[name] = FileEntry(path.stat().st_size, file_digest(path))
 
     def adopt(self, path: Path | str) -> None:
         """Take in a file that another library wrote below `self.path`."""
@@ -192,7 +205,7 @@ class Build:
 
     def _refuse_strays(self) -> None:
         found = {path.relative_to(self.path).as_posix() for path in self.path.rglob("*") if not path.is_dir()}
-        strays = sorted(found - set(self._manifest.files))
+        strays = sorted(found - set(self._manifest.files) - set(self._records))
         if strays:
             raise ValueError(f"{self._manifest.stage}: {strays[0]} was written but not adopted")
 
@@ -207,7 +220,8 @@ class Build:
         self._manifest.files[name] = FileEntry(path.stat().st_size, file_digest(path))
 
     def _check_name(self, name: str) -> None:
-        if not is_plain_name(name) or name in (MANIFEST_NAME, RUN_NAME) or name in self._manifest.files:
+        taken = {MANIFEST_NAME, RUN_NAME, *self._manifest.files, *self._records}
+        if not is_plain_name(name) or name in taken:
             raise ValueError(f"{name!r} cannot be the name of a file of an artifact, or is one already")
 
     def _run(self) -> dict[str, Any]:
@@ -220,6 +234,7 @@ class Build:
             "python": platform.python_version(),
             "system": f"{platform.system()} {platform.machine()}",
             "libraries": _library_versions(),
+            "records": plain(self._records),
             **self._measured,
         }
 

@@ -70,22 +70,22 @@ def _check(folder: Path) -> tuple[list[Damage], int, int]:
     except BadData as error:
         return [Damage(Path(error.where), error.what)], 0, 0
     damaged = []
-    for name, entry in artifact.manifest.files.items():
+    entries = dict(artifact.manifest.files)
+    try:
+        entries |= artifact.records
+    except BadData as error:
+        damaged.append(Damage(folder / RUN_NAME, error.what))
+    for name, entry in entries.items():
         try:
             if file_digest(folder / name) != entry.sha256:
                 damaged.append(Damage(folder / name, "its content is not what was written"))
         except GwError as error:
             damaged.append(Damage(folder / name, error.what))
-    try:
-        _ = artifact.run
-    except BadData as error:
-        damaged.append(Damage(folder / RUN_NAME, error.what))
-    expected = {MANIFEST_NAME, RUN_NAME, *artifact.manifest.files}
+    expected = {MANIFEST_NAME, RUN_NAME, *entries}
     for path in sorted(folder.rglob("*")):
         if not path.is_dir() and path.relative_to(folder).as_posix() not in expected:
             damaged.append(Damage(path, "nothing wrote this file"))
-    entries = artifact.manifest.files.values()
-    return damaged, len(entries) + 2, sum(entry.bytes for entry in entries)
+    return damaged, len(entries) + 2, sum(entry.bytes for entry in entries.values())
 
 
 def _pointer_damage(pointer: Path) -> list[Damage]:

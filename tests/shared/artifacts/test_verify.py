@@ -108,3 +108,28 @@ def test_a_file_in_the_place_of_a_subject_is_called_a_file(tmp_path: Path) -> No
         verify(Workspace(tmp_path / "notes.txt"))
     with pytest.raises(BadData, match="file, not a subject"):
         Workspace(tmp_path / "notes.txt").require(FIRST)
+
+
+def test_records_of_a_run_are_verified_but_do_not_name_the_artifact(tmp_path: Path) -> None:
+    digests = set()
+    for name, texts in {
+        "a": {"log.txt": b"1 s"},
+        "b": {"log.txt": b"9 s", "pictures/9.png": b"x"},
+        "c": {},
+    }.items():
+        workspace = Workspace(tmp_path / name)
+        with workspace.build(FIRST, {}, {}) as build:
+            build.write_json("result.json", {"value": 3})
+            for file, content in texts.items():
+                build.write_record(file, content)
+        artifact = workspace.require(FIRST)
+        assert {file: artifact.record(file) for file in artifact.records} == texts
+        assert verify(workspace).damaged == []
+        digests.add((artifact.digest, (artifact.path / "manifest.json").read_bytes()))
+    assert len(digests) == 1
+    record = Workspace(tmp_path / "b").require(FIRST).path / "log.txt"
+    record.chmod(0o644)
+    record.write_bytes(b"8 s")
+    assert [damage.path for damage in verify(Workspace(tmp_path / "b")).damaged] == [record]
+    record.unlink()
+    assert [damage.path for damage in verify(Workspace(tmp_path / "b")).damaged] == [record]

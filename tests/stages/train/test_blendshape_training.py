@@ -39,7 +39,7 @@ def subject(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_they_learn_and_are_worn(subject: Path, tmp_path: Path) -> None:
     config = tiny(steps=60, model=MODEL, track=TrackConfig(frame_step=1))
     result = stage.run(subject, config)
-    lines = [json.loads(line) for line in result.artifact.bytes("metrics.jsonl").splitlines()]
+    lines = [json.loads(line) for line in result.artifact.record("metrics.jsonl").splitlines()]
     assert lines[-1]["losses"]["l1"] < 0.6 * lines[0]["losses"]["l1"]
     assert result.summary["skipped"] == 0
     baked, registered = (Workspace(subject).require(spec) for spec in (BAKE_MAPS, REGISTER_TEMPLATE))

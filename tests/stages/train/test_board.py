@@ -88,7 +88,7 @@ def test_events_say_what_the_metrics_say_and_change_nothing(subject: Path, tmp_p
         for value in event.summary.value
         if value.tag != "preview"
     }
-    lines = [json.loads(line) for line in shown.bytes("metrics.jsonl").splitlines()]
+    lines = [json.loads(line) for line in shown.record("metrics.jsonl").splitlines()]
     assert {step for step, _ in scalars} == {line["step"] for line in lines}
     for line in lines:
         for group in ("losses", "seconds"):
@@ -98,7 +98,7 @@ def test_events_say_what_the_metrics_say_and_change_nothing(subject: Path, tmp_p
     pictures = [(e.step, v.image) for e in events for v in e.summary.value if v.tag == "preview"]
     assert [step for step, _ in pictures] == [0, 12]
     for step, image in pictures:
-        encoded = shown.bytes(f"previews/step-{step:06d}.png")
+        encoded = shown.record(f"previews/step-{step:06d}.png")
         assert image.encoded_image_string == encoded
         decoded = cv2.imdecode(np.frombuffer(encoded, np.uint8), cv2.IMREAD_COLOR)
         assert decoded is not None and decoded.shape[:2] == (image.height, image.width)

@@ -109,7 +109,7 @@ def test_the_command_on_two_processes_learns_what_one_learns(prepared: Path, tmp
     found = Workspace(tmp_path / "two" / "subject").require(TRAIN)
     assert found.key == expected.key, "named by the cameras of a step, however many processes drew them"
     assert_same(found, expected, tolerance=0.0)
-    lines = [json.loads(line) for line in found.bytes("metrics.jsonl").splitlines()]
+    lines = [json.loads(line) for line in found.record("metrics.jsonl").splitlines()]
     assert [line["step"] for line in lines] == [9, 19] and lines[-1]["seconds"]["exchange"] > 0
 
 

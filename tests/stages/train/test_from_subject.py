@@ -99,7 +99,7 @@ def test_the_body_stays_to_the_bit_and_the_garments_learn(inner: Path, subject: 
         k for k, v in before.arrays("upper").items() if not np.array_equal(after.arrays("upper")[k], v)
     }
     assert {"base_color", "base_offset"} <= changed
-    lines = [json.loads(line) for line in after.bytes("metrics.jsonl").splitlines()]
+    lines = [json.loads(line) for line in after.record("metrics.jsonl").splitlines()]
     told = lines[-1]["losses"]
     assert "penetration" in told and "label" in told
     assert not {"silhouette", "opacity", "covered_skin"} & told.keys(), "terms of the body alone"

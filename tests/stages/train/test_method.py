@@ -123,7 +123,7 @@ def test_baselines_train_and_are_worn(method: str, tmp_path: Path) -> None:
     summary = result.artifact.summary
     names = {"animatable-gaussians": ["whole"], "layga": ["body", "clothing"]}[method]
     assert summary["layers"] == names and summary["method"] == method
-    losses = json.loads(result.artifact.bytes("metrics.jsonl").splitlines()[-1])["losses"]
+    losses = json.loads(result.artifact.record("metrics.jsonl").splitlines()[-1])["losses"]
     assert ("label" in losses) is ("penetration" in losses) is (method == "layga")
     workspace = Workspace(subject)
     outfit = outfit_of_training(*(workspace.require(spec) for spec in (REGISTER_TEMPLATE, BAKE_MAPS, TRAIN)))
@@ -156,7 +156,7 @@ def test_every_part_switches_something_off_and_nothing_else() -> None:
 def test_ablation_is_in_the_key_and_silences_the_term(tmp_path: Path) -> None:
     subject = make_subject(tmp_path)
     result = stage.run(subject, tiny(steps=2, without=("sg", "reg")))
-    losses = json.loads(result.artifact.bytes("metrics.jsonl").splitlines()[-1])["losses"]
+    losses = json.loads(result.artifact.record("metrics.jsonl").splitlines()[-1])["losses"]
     assert not {"label", "offset", "smooth", "seam", "opacity"} & losses.keys() and "silhouette" in losses
     assert result.artifact.summary["without"] == ["sg", "reg"]
     assert result.artifact.config["without"] == ["sg", "reg"]

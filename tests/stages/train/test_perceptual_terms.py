@@ -40,7 +40,7 @@ def weights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def _losses(result: StageResult) -> dict[str, float]:
-    return dict(json.loads(result.artifact.bytes("metrics.jsonl").splitlines()[-1])["losses"])
+    return dict(json.loads(result.artifact.record("metrics.jsonl").splitlines()[-1])["losses"])
 
 
 def test_the_terms_are_in_the_metrics_with_the_file_only(

@@ -49,7 +49,7 @@ def _weights(result: StageResult) -> dict[str, np.ndarray]:
 
 def test_learning_lowers_the_loss_and_writes_a_whole_artifact(subject: Path) -> None:
     result = stage.run(subject, tiny(steps=60))
-    lines = [json.loads(line) for line in result.artifact.bytes("metrics.jsonl").splitlines()]
+    lines = [json.loads(line) for line in result.artifact.record("metrics.jsonl").splitlines()]
     assert lines[-1]["losses"]["l1"] < 0.5 * lines[0]["losses"]["l1"]
     assert {"data", "network", "splat", "surface", "optimiser"} <= lines[-1]["seconds"].keys()
     assert lines[-1]["gradient_norm"] > 0
@@ -64,8 +64,8 @@ def test_learning_lowers_the_loss_and_writes_a_whole_artifact(subject: Path) -> 
         "seam",
         "opacity",
     } <= lines[-1]["losses"].keys()
-    previews = [name for name in result.artifact.files if name.startswith("previews/")]
-    assert previews and result.artifact.bytes(previews[0])[:4] == b"\x89PNG"
+    previews = [name for name in result.artifact.records if name.startswith("previews/")]
+    assert previews and result.artifact.record(previews[0])[:4] == b"\x89PNG"
     settings = result.artifact.json("model.json")["layers"]
     baked = Workspace(subject).require(BAKE_MAPS)
     fresh, learned = {}, {}
@@ -94,7 +94,8 @@ def test_interrupted_run_resumes_to_the_bit(
     whole, split = tmp_path / "whole", tmp_path / "split"
     shutil.copytree(prepared, whole)
     shutil.copytree(prepared, split)
-    straight = _weights(stage.run(whole / "subject", tiny(steps=12)))
+    through = stage.run(whole / "subject", tiny(steps=12))
+    straight = _weights(through)
     step = trainer.Trainer.step
 
     def interrupted(self: trainer.Trainer, number: int, elapsed: float) -> trainer.StepReport:
@@ -110,7 +111,8 @@ def test_interrupted_run_resumes_to_the_bit(
     resumed = stage.run(split / "subject", tiny(steps=12))
     for name, values in _weights(resumed).items():
         assert np.array_equal(values, straight[name]), name
-    lines = [json.loads(line) for line in resumed.artifact.bytes("metrics.jsonl").splitlines()]
+    assert resumed.artifact.digest == through.artifact.digest
+    lines = [json.loads(line) for line in resumed.artifact.record("metrics.jsonl").splitlines()]
     assert [line["step"] for line in lines] == sorted({line["step"] for line in lines})
 
 
@@ -146,7 +148,7 @@ def test_missing_stages_and_devices_are_said(tmp_path: Path, subject: Path) -> N
 def test_published_kind_of_model_trains_too(subject: Path) -> None:
     model = replace(PAPER_MODEL, width=0.0625, depth=2, style=8)
     result = stage.run(subject, tiny(steps=20, model=model, rates=LearningRates(network=0.01)))
-    lines = [json.loads(line) for line in result.artifact.bytes("metrics.jsonl").splitlines()]
+    lines = [json.loads(line) for line in result.artifact.record("metrics.jsonl").splitlines()]
     assert lines[-1]["losses"]["l1"] < lines[0]["losses"]["l1"]
     assert result.summary["skipped"] == 0
     first = _weights(result)

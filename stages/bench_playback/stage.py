@@ -3,9 +3,9 @@
 Reads:
     bundles `.gwg`, a pose file. Writes nothing; times are medians over frames, in milliseconds.
 
-Three ways are timed: the plain one (`Outfit.composite`, one frame after the other), the played one
-(`Player`), and frames side by side (`side_by_side`), whose rate is frames over wall time. The penetration
-pass is on; it is also left out, frame by frame in turn, and what it costs is the difference.
+Three ways are timed: the plain one (`Outfit.composite`, one frame after the other), the cached one
+(`CachedPoser`), and frames in parallel (`parallel_frames`), whose rate is frames over wall time. The
+penetration pass is on. It is also left out, frame by frame in turn, and its cost is the difference.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ import torch
 from numpy.typing import NDArray
 
 from stages.bench_playback.config import BenchPlaybackConfig
-from stages.shared.avatar.compose import Composite
 from stages.shared.body import Poses
 from stages.shared.capture import Camera
 from stages.shared.errors import UsageProblem
-from stages.shared.outfit.hidden import plan_hidden
+from stages.shared.outfit.cached_poser import CachedPoser
 from stages.shared.outfit.outfit import Outfit, outfit_of_bundles
+from stages.shared.outfit.parallel_frames import parallel_frames
 from stages.shared.outfit.penetration import TRYON_MARGINS
-from stages.shared.outfit.picture import Shot, take_picture
-from stages.shared.outfit.playback import side_by_side
-from stages.shared.outfit.player import Player
+from stages.shared.outfit.render_image import RenderedImage, render_image
 from stages.shared.outfit.sources import read_bundles
 from stages.shared.outfit.viewpoints import viewpoint_cameras
+from stages.shared.outfit.visibility_culling import find_hidden_texels
 from stages.shared.poses.read import load_poses
 from stages.shared.report import SILENT, Report
+from stages.shared.splat.gaussians import Gaussians
 
 Mask = NDArray[np.bool_] | None
 _WARM_FRAMES = 3  # compilation, first touch of memory
@@ -69,7 +69,7 @@ def run(
     )
     frames = list(zip(rows, cameras, strict=True))
     report.step(f"playing {' < '.join(outfit.names)}, {outfit.gaussians} Gaussians")
-    hidden = plan_hidden(outfit, poses, rows) if config.cull else None
+    hidden = find_hidden_texels(outfit, poses, rows) if config.cull else None
     split = _split(outfit, poses, frames, hidden)
     plain = _plain(outfit, poses, frames[: config.plain_frames])
     rate, threads = _rate(outfit, poses, frames, config.threads or torch.get_num_threads(), hidden)
@@ -93,12 +93,12 @@ def run(
 
 def _split(outfit: Outfit, poses: Poses, frames: list[tuple[int, Camera]], hidden: Mask) -> dict[str, float]:
     """Median milliseconds of posing and of the picture, with and without the penetration pass."""
-    player = Player(outfit, hidden=hidden)
+    player = CachedPoser(outfit, hidden=hidden)
     times: dict[str, list[float]] = {"pose": [], "picture": [], "picture_without_pass": []}
     for index, (row, camera) in enumerate([*frames[:1] * _WARM_FRAMES, *frames]):
         composite, posing = _timed(player.composite, poses, row)
-        _, repaired = _timed(take_picture, composite, camera, TRYON_MARGINS)
-        _, without = _timed(take_picture, composite, camera)
+        _, repaired = _timed(render_image, composite, camera, TRYON_MARGINS)
+        _, without = _timed(render_image, composite, camera)
         if index >= _WARM_FRAMES:
             for name, value in zip(times, (posing, repaired, without), strict=True):
                 times[name].append(value)
@@ -108,8 +108,8 @@ def _split(outfit: Outfit, poses: Poses, frames: list[tuple[int, Camera]], hidde
 def _plain(outfit: Outfit, poses: Poses, frames: list[tuple[int, Camera]]) -> float | None:
     """Median milliseconds of a frame without anything that was done for speed; None without frames."""
 
-    def frame(row: int, camera: Camera) -> Shot:
-        return take_picture(outfit.composite(poses, row), camera, TRYON_MARGINS)
+    def frame(row: int, camera: Camera) -> RenderedImage:
+        return render_image(outfit.composite(poses, row), camera, TRYON_MARGINS)
 
     times = [_timed(frame, row, camera)[1] for row, camera in frames]
     return median(times) if times else None
@@ -120,11 +120,11 @@ def _rate(
 ) -> tuple[float, int]:
     """Frames per second side by side, over the whole wall time after the first frames."""
 
-    def work(player: Player, frame: tuple[int, Camera]) -> Composite | Shot:
-        return take_picture(player.composite(poses, frame[0]), frame[1], TRYON_MARGINS)
+    def work(player: CachedPoser, frame: tuple[int, Camera]) -> Gaussians | RenderedImage:
+        return render_image(player.composite(poses, frame[0]), frame[1], TRYON_MARGINS)
 
     started, ahead = 0.0, 2 * threads  # frames in flight when the clock starts
-    for index, _ in enumerate(side_by_side(outfit, frames[:1] * ahead + frames, work, threads, hidden)):
+    for index, _ in enumerate(parallel_frames(outfit, frames[:1] * ahead + frames, work, threads, hidden)):
         if index == ahead - 1:
             started = time.perf_counter()
     return len(frames) / (time.perf_counter() - started), threads

@@ -27,7 +27,7 @@ from stages.shared.capture.camera import Camera
 from stages.shared.errors import UsageProblem
 from stages.shared.metrics.psnr import psnr
 from stages.shared.outfit.outfit import outfit_of_bundles
-from stages.shared.outfit.picture import take_picture
+from stages.shared.outfit.render_image import render_image
 from stages.shared.outfit.sources import read_bundles
 from stages.shared.outfit.viewpoints import viewpoint_cameras
 from stages.shared.poses.read import load_poses
@@ -107,7 +107,7 @@ def _pictures(named: Named, poses: Poses, rows: list[int], config: BenchPrecisio
     size = (config.width, config.height)
     cameras: list[Camera] = viewpoint_cameras("static", outfit.body_model, poses[rows], outfit.betas, size)
     shots = [
-        take_picture(outfit.composite(poses, row), camera).on((1.0, 1.0, 1.0))
+        render_image(outfit.composite(poses, row), camera).on((1.0, 1.0, 1.0))
         for row, camera in zip(rows, cameras, strict=True)
     ]
     return np.stack(shots)

@@ -35,7 +35,7 @@ from stages.shared.metrics.scores import Scores, ViewPair
 from stages.shared.outfit.layer import label_of
 from stages.shared.outfit.outfit import outfit_of_bundles
 from stages.shared.outfit.penetration import TRYON_MARGINS
-from stages.shared.outfit.picture import take_picture
+from stages.shared.outfit.render_image import render_image
 from stages.shared.outfit.sources import capture_take, read_bundles
 from stages.shared.pictures.folder import check_output, output_folder
 from stages.shared.pictures.sheet import chosen, contact_sheet, shrunk
@@ -113,7 +113,7 @@ def run(
                 for name in config.variants:
                     parts = VARIANTS[name]
                     composite = composites[tuple(p for p in parts if p != "penetration")]
-                    shot = take_picture(composite, camera, TRYON_MARGINS if "penetration" in parts else None)
+                    shot = render_image(composite, camera, TRYON_MARGINS if "penetration" in parts else None)
                     views[name] = _pair(shot, take, camera, frame.row)
                     scores = tryon_scores(views[name], label_of(region))
                     rows.append({"variant": name, "frame": frame.row, "camera": camera.name, **scores})

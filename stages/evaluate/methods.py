@@ -11,7 +11,7 @@ from stages.evaluate.baseline import Baseline
 from stages.evaluate.views import FrameViews
 from stages.shared.capture.camera import Camera
 from stages.shared.outfit.outfit import Outfit
-from stages.shared.outfit.picture import take_picture
+from stages.shared.outfit.render_image import render_image
 
 Rendered = tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.uint8]]  # picture on black, alpha, labels
 
@@ -34,7 +34,7 @@ class TrainedMethod:
         self._composite = self.outfit.composite(views.take.poses, views.frame)
 
     def render(self, camera: Camera) -> Rendered:
-        shot = take_picture(self._composite, camera)
+        shot = render_image(self._composite, camera)
         return shot.on((0.0, 0.0, 0.0)), shot.alpha, shot.labels
 
 

@@ -11,8 +11,8 @@ from stages.shared.avatar.deform import Attributes
 from stages.shared.avatar.pose import pose_at
 from stages.shared.body import BodyModel, Poses
 from stages.shared.outfit.layer import WornLayer
-from stages.shared.outfit.restore import spread_skin
-from stages.shared.outfit.swap import beneath_texels
+from stages.shared.outfit.swap import covered_texels
+from stages.shared.outfit.uncovered_skin import extrapolate_skin
 
 
 @torch.no_grad()
@@ -45,7 +45,7 @@ def mean_attributes(body: WornLayer, body_model: BodyModel, poses: Poses, frames
 
 def form_beneath(garment: WornLayer, body: WornLayer, mean: Attributes) -> dict[str, np.ndarray]:
     """`swap/…` arrays: the source's body beneath the garment."""
-    texels = beneath_texels(body.maps, garment.maps)
+    texels = covered_texels(body.maps, garment.maps)
     return {
         "swap/texels": body.maps.texels[texels].numpy().astype(np.int32),
         "swap/offsets": mean.offsets[texels].numpy(),
@@ -55,7 +55,7 @@ def form_beneath(garment: WornLayer, body: WornLayer, mean: Attributes) -> dict[
 
 def covered_skin(body: WornLayer, garments: list[WornLayer], mean: Attributes) -> dict[str, np.ndarray]:
     """`skin/…` arrays: how much clothes covered each texel of the body, and what it is without them."""
-    skin = spread_skin(body.maps, [garment.maps for garment in garments], mean.offsets, mean.colors)
+    skin = extrapolate_skin(body.maps, [garment.maps for garment in garments], mean.offsets, mean.colors)
     if skin is None:
         return {}
     return {

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from stages.shared.avatar.compose import compose
 from stages.shared.avatar.deform import pose_layer
 from stages.shared.outfit.layer import WornLayer
-from stages.shared.outfit.picture import take_picture
-from stages.shared.outfit.viewpoints import looking_camera
+from stages.shared.outfit.render_image import render_image
+from stages.shared.outfit.viewpoints import look_at_camera
 
 _PAPER = (0.96, 0.96, 0.96)
 
@@ -26,7 +26,7 @@ def preview_picture(layer: WornLayer, size: int) -> NDArray[np.uint8]:
     width, height, depth = (high - low).tolist()
     half = (width / 2 + 0.03, height / 2 + 0.03, depth / 2)
     views = [
-        take_picture(composite, looking_camera("preview", (low + high) / 2, azimuth, half, (size // 2, size)))
+        render_image(composite, look_at_camera("preview", (low + high) / 2, azimuth, half, (size // 2, size)))
         for azimuth in (0.0, np.pi)
     ]
     return np.hstack([view.on(_PAPER) for view in views])

@@ -30,7 +30,7 @@ from stages.shared.body import BodyModel, Poses
 from stages.shared.errors import MissingInput, UsageProblem
 from stages.shared.layers import BODY, LAYERS, SLOTS, garments_of, in_order
 from stages.shared.outfit.layer import WornLayer, layer_of_training
-from stages.shared.outfit.rebind import canonical_joints
+from stages.shared.outfit.retarget import canonical_joints
 from stages.shared.plan import Plan
 from stages.shared.poses.read import load_poses
 from stages.shared.report import SILENT, Report

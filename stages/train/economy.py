@@ -31,12 +31,12 @@ from stages.shared.avatar.maps import LayerMaps
 from stages.shared.avatar.used_joints import every_joint
 from stages.shared.commands import run_command
 from stages.shared.errors import UsageProblem
-from stages.shared.outfit.hidden import plan_hidden
+from stages.shared.outfit.cached_poser import CachedPoser
 from stages.shared.outfit.outfit import Outfit, outfit_of_training
+from stages.shared.outfit.parallel_frames import parallel_frames
 from stages.shared.outfit.penetration import PenetrationConfig
-from stages.shared.outfit.picture import Shot, take_picture
-from stages.shared.outfit.playback import side_by_side
-from stages.shared.outfit.player import Player
+from stages.shared.outfit.render_image import RenderedImage, render_image
+from stages.shared.outfit.visibility_culling import find_hidden_texels
 from stages.shared.report import SILENT, Report
 from stages.train.config import TrainConfig
 from stages.train.data import View
@@ -228,21 +228,21 @@ def _timed_frames(
 ) -> dict[str, Any]:
     poses, shown = trainer.views.poses, _views(trainer, config.frames)
 
-    hidden = None if without("frame-no-cull") else plan_hidden(outfit, poses, trainer.frames)
+    hidden = None if without("frame-no-cull") else find_hidden_texels(outfit, poses, trainer.frames)
     plain, whole_layers = without("frame-plain"), without("frame-whole-layers")
     threads = 1 if without("frame-one-at-a-time") else torch.get_num_threads()
 
     still = name in STILL_ROWS  # the pose of the first frame, before the cameras of all
 
-    def work(player: Player, view: View) -> Shot:
+    def work(player: CachedPoser, view: View) -> RenderedImage:
         row = shown[0].frame if still else view.frame
         composite = (outfit if plain else player).composite(poses, row)
-        return take_picture(composite, view.camera, PenetrationConfig(), whole_layers=whole_layers)
+        return render_image(composite, view.camera, PenetrationConfig(), whole_layers=whole_layers)
 
     ahead = 2 * threads  # frames in flight when the clock starts
     items = shown[:1] * ahead + shown * _PASSES
     times, errors = [], []
-    for index, shot in enumerate(side_by_side(outfit, items, work, threads, hidden, name == "still-anew")):
+    for index, shot in enumerate(parallel_frames(outfit, items, work, threads, hidden, name != "still-anew")):
         times.append(time.perf_counter())
         if ahead <= index < ahead + len(shown):
             errors.append(_psnr(shot.color, shown[index - ahead]))

@@ -12,20 +12,20 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from stages.shared.avatar.compose import Composite
 from stages.shared.avatar.decoders.base import Decoder
+from stages.shared.splat.gaussians import Gaussians
 
 _NAMES = ("means", "covariances", "opacities", "features")
 
 
-def detach(composite: Composite) -> Composite:
+def detach(composite: Gaussians) -> Gaussians:
     """The same Gaussians as inputs of a new graph."""
     inputs = {name: getattr(composite, name).detach().requires_grad_() for name in _NAMES}
     return replace(composite, **inputs)
 
 
 def upstream_gradients(
-    composite: Composite, detached: Composite, observed: Tensor | None = None
+    composite: Gaussians, detached: Gaussians, observed: Tensor | None = None
 ) -> list[tuple[Tensor, Tensor | None]]:
     """The composite's tensors, each with the gradient that its detached copy accumulated.
 
@@ -42,7 +42,7 @@ def upstream_gradients(
     return pairs
 
 
-def take_gradients(detached: Composite) -> Tensor:
+def take_gradients(detached: Gaussians) -> Tensor:
     """The accumulated gradients as one row (M,), zeros where there are none; they are reset."""
     tensors = [getattr(detached, name) for name in _NAMES]
     gradients = [torch.zeros_like(t) if t.grad is None else t.grad for t in tensors]
@@ -51,7 +51,7 @@ def take_gradients(detached: Composite) -> Tensor:
     return torch.cat([gradient.flatten() for gradient in gradients])
 
 
-def give_gradients(detached: Composite, gradients: Tensor) -> None:
+def give_gradients(detached: Gaussians, gradients: Tensor) -> None:
     """Put gradients (M,) back, in the order of `take_gradients`."""
     tensors = [getattr(detached, name) for name in _NAMES]
     for tensor, part in zip(tensors, gradients.split([t.numel() for t in tensors]), strict=True):
@@ -66,7 +66,7 @@ def observed_of(decoders: Iterable[Decoder]) -> Tensor | None:
     return torch.cat([decoder.observed for decoder in decoders])
 
 
-def mask_gradients(composite: Composite, observed: Tensor | None) -> None:
+def mask_gradients(composite: Gaussians, observed: Tensor | None) -> None:
     """Multiply gradients that will reach the composite by `observed` (N,); None changes nothing."""
     if observed is None:
         return

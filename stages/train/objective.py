@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from stages.shared.avatar.compose import Composite
 from stages.shared.avatar.deform import PosedGaussians
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.capture import Camera
@@ -27,6 +26,7 @@ from stages.shared.losses.silhouette import silhouette_loss
 from stages.shared.losses.smooth import smooth_loss
 from stages.shared.losses.ssim import ssim_loss
 from stages.shared.splat.api import rasterize, rasterize_layers
+from stages.shared.splat.gaussians import Gaussians
 from stages.train.config import LossWeights
 from stages.train.data import View
 
@@ -45,7 +45,7 @@ class Picture:
     body_alpha: Tensor | None = None
 
 
-def render(composite: Composite, camera: Camera, body_alone: bool = False, backend: str = "auto") -> Picture:
+def render(composite: Gaussians, camera: Camera, body_alone: bool = False, backend: str = "auto") -> Picture:
     """Colours, labels, alpha and expected depth of a composite, in one pass; the body alone in the same."""
     matrices = camera.tensors(composite.means.device)
     gaussians = (composite.means, None, None, composite.opacities, composite.features, *matrices)
@@ -99,7 +99,7 @@ class Lens:
 
 
 def picture_terms(
-    composite: Composite,
+    composite: Gaussians,
     view: View,
     background: Tensor,
     weights: LossWeights,

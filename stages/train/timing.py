@@ -16,12 +16,13 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from stages.shared.avatar.compose import Composite, compose
+from stages.shared.avatar.compose import compose
 from stages.shared.capture import Camera
 from stages.shared.errors import UsageProblem
 from stages.shared.layers import BODY
 from stages.shared.report import SILENT, Report
 from stages.shared.splat.api import rasterize
+from stages.shared.splat.gaussians import Gaussians
 from stages.shared.splat.kernels.threads import watch
 from stages.train.config import TrainConfig
 from stages.train.data import choose
@@ -33,7 +34,7 @@ _SHARE_OF_RUN = 0.9
 """The steps measured are late ones: full-size pictures, all terms in force."""
 _BACKWARD_KERNELS = ("blend_backward", "project_backward")
 
-Draw = Callable[[Composite, Camera], list[Tensor]]
+Draw = Callable[[Gaussians, Camera], list[Tensor]]
 
 
 @dataclass(frozen=True)
@@ -111,7 +112,7 @@ def measure(trainer: Trainer, steps: int, report: Report, update: bool = True) -
     return found
 
 
-def _pictures(trainer: Trainer, number: int) -> tuple[Composite, list[Camera]]:
+def _pictures(trainer: Trainer, number: int) -> tuple[Gaussians, list[Camera]]:
     """The Gaussians and the cameras of a step at full size."""
     config = trainer.config
     choice = choose(config.seed, number, trainer.frames, trainer.cameras, config.views_per_step)
@@ -121,13 +122,13 @@ def _pictures(trainer: Trainer, number: int) -> tuple[Composite, list[Camera]]:
     return composite, [trainer.views.view(choice.frame, name, scale).camera for name in choice.cameras]
 
 
-def _shared(composite: Composite, camera: Camera) -> list[Tensor]:
+def _shared(composite: Gaussians, camera: Camera) -> list[Tensor]:
     picture = render(composite, camera, body_alone=BODY in composite.layers)
     found = [picture.color, picture.labels, picture.alpha, picture.body_alpha]
     return [image for image in found if image is not None]
 
 
-def _separate(composite: Composite, camera: Camera) -> list[Tensor]:
+def _separate(composite: Gaussians, camera: Camera) -> list[Tensor]:
     """Colours, then labels, then the body alone: a call each."""
     shown = (camera.width, camera.height)
     matrices = camera.tensors(composite.means.device)
@@ -144,7 +145,7 @@ def _separate(composite: Composite, camera: Camera) -> list[Tensor]:
 
 
 def _interleaved(
-    ways: dict[str, Draw], composite: Composite, cameras: list[Camera], rounds: int
+    ways: dict[str, Draw], composite: Gaussians, cameras: list[Camera], rounds: int
 ) -> dict[str, dict[str, float]]:
     """Median seconds, forward and backward, of all cameras' pictures; the ways take turns."""
     for draw in ways.values():
@@ -156,7 +157,7 @@ def _interleaved(
     return {name: _medians(found) for name, found in rows.items()}
 
 
-def _forward_backward(draw: Draw, composite: Composite, cameras: list[Camera]) -> dict[str, float]:
+def _forward_backward(draw: Draw, composite: Gaussians, cameras: list[Camera]) -> dict[str, float]:
     names = ("means", "covariances", "opacities", "features")
     seconds = {"forward": 0.0, "backward": 0.0}
     for camera in cameras:

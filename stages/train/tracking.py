@@ -17,12 +17,13 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from stages.shared.avatar.compose import Composite, compose
+from stages.shared.avatar.compose import compose
 from stages.shared.avatar.decoders.base import Decoder
 from stages.shared.avatar.decoders.key_poses import KeyPoseOffsets
 from stages.shared.avatar.deform import PosedGaussians, blended, pose_layer
 from stages.shared.avatar.pose import FramePose
 from stages.shared.layers import BODY
+from stages.shared.splat.gaussians import Gaussians
 from stages.train.begin import Beginnings
 from stages.train.cells import Cells
 from stages.train.collision import outwards
@@ -168,7 +169,7 @@ class Tracker:
 
     def _composite(
         self, pose: FramePose, found: dict[str, Floats], beside: dict[str, Tensor]
-    ) -> tuple[dict[str, PosedGaussians], Composite, dict[str, slice]]:
+    ) -> tuple[dict[str, PosedGaussians], Gaussians, dict[str, slice]]:
         """All layers in a pose with these offsets, by name and together, and which Gaussians are whose."""
         posed, places, first = {}, {}, 0
         for name, model in self.models.items():

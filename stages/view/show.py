@@ -16,9 +16,9 @@ from stages.shared.body import Poses, canonical_poses
 from stages.shared.capture.camera import Camera, checked_camera
 from stages.shared.errors import UsageProblem
 from stages.shared.layers import SLOTS
-from stages.shared.outfit.grounding import grounded
+from stages.shared.outfit.foot_height import fix_foot_height
 from stages.shared.outfit.outfit import Outfit
-from stages.shared.outfit.picture import take_picture
+from stages.shared.outfit.render_image import render_image
 from stages.shared.outfit.sources import parse_betas
 from stages.shared.outfit.viewpoints import viewpoint_cameras
 from stages.shared.pictures.background import read_background
@@ -103,7 +103,7 @@ class Show:
             if not layers:
                 raise UsageProblem("All layers are off.", "layers", "Leave one on.")
             composite = replace(outfit, layers=layers).composite(poses, wish.row)
-            shot = take_picture(composite, camera, self.shelf.margins)
+            shot = render_image(composite, camera, self.shelf.margins)
         straight = shot.straight()
         return encode_png(straight if behind.transparent else behind.under(straight))
 
@@ -123,7 +123,7 @@ class Show:
             return poses
         key = (motion, outfit.betas.tobytes())
         if key not in self._walked:
-            self._walked[key] = grounded(poses, outfit.body_model, outfit.betas)
+            self._walked[key] = fix_foot_height(poses, outfit.body_model, outfit.betas)
         self._walked.move_to_end(key)
         while len(self._walked) > _KEPT_MOTIONS:
             self._walked.popitem(last=False)

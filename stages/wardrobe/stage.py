@@ -25,8 +25,8 @@ from stages.shared.body import Poses, canonical_poses
 from stages.shared.errors import MissingInput, UsageProblem
 from stages.shared.outfit.outfit import Outfit, outfit_of_bundles
 from stages.shared.outfit.penetration import TRYON_MARGINS
-from stages.shared.outfit.picture import Shot, take_picture
-from stages.shared.outfit.viewpoints import looking_camera
+from stages.shared.outfit.render_image import RenderedImage, render_image
+from stages.shared.outfit.viewpoints import look_at_camera
 from stages.shared.outfit.wardrobe import Piece, count_outfits, pieces, sensible_outfits
 from stages.shared.pictures.folder import check_output, output_folder
 from stages.shared.pictures.sheet import contact_sheet
@@ -103,7 +103,7 @@ def run(
     return OutfitsResult(output, summary)
 
 
-def _shots(outfit: Outfit, poses_path: Path | None, config: OutfitsConfig) -> list[Shot]:
+def _shots(outfit: Outfit, poses_path: Path | None, config: OutfitsConfig) -> list[RenderedImage]:
     """The outfit from every side."""
     poses = canonical_poses() if poses_path is None else load_poses(poses_path, outfit.body_model)
     frame = len(poses) // 2 if config.frame < 0 else config.frame
@@ -119,9 +119,9 @@ def _shots(outfit: Outfit, poses_path: Path | None, config: OutfitsConfig) -> li
     half = (float(across) + _MARGIN, float(high[1] - low[1]) / 2, 0.3)
     size = (config.width, config.height)
     return [
-        take_picture(
+        render_image(
             composite,
-            looking_camera("outfit", (low + high) / 2, facing + np.deg2rad(azimuth), half, size),
+            look_at_camera("outfit", (low + high) / 2, facing + np.deg2rad(azimuth), half, size),
             TRYON_MARGINS,
         )
         for azimuth in config.azimuths
@@ -136,7 +136,7 @@ def _forward(poses: Poses, frame: int) -> tuple[float, float]:
     return float(forward[0]), float(forward[2])
 
 
-def _row(worn: tuple[Piece, ...], outfit: Outfit, shots: list[Shot]) -> dict[str, Any]:
+def _row(worn: tuple[Piece, ...], outfit: Outfit, shots: list[RenderedImage]) -> dict[str, Any]:
     return {
         "pieces": [piece.name for piece in worn],
         "layers": list(outfit.names),

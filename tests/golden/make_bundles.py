@@ -16,7 +16,7 @@ import numpy as np
 from stages.shared.artifacts.bundle import SCHEMA, Bundle, write_bundle
 from stages.shared.artifacts.bundle_precision import halved
 from stages.shared.body import embedded_body
-from stages.shared.outfit.rebind import canonical_joints
+from stages.shared.outfit.retarget import canonical_joints
 from tests.shared.outfit.wardrobe import bundle, worn
 
 FOLDER = Path(__file__).parent

@@ -1,36 +1,18 @@
-"""Layers together: one set of Gaussians whose features are colour and one-hot layer labels."""
+"""Joins layers to one set of Gaussians whose features are colours and one-hot layer labels."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import torch
 from torch import Tensor
 from torch.nn import functional
 
 from stages.shared.avatar.deform import PosedGaussians
+from stages.shared.splat.gaussians import Gaussians
 
 
-@dataclass(frozen=True)
-class Composite:
-    """All layers' Gaussians in one world, ready for one splatting pass.
-
-    Attributes:
-        means: (N, 3) m. covariances: (N, 3, 3) m². opacities: (N,).
-        features: (N, 3 + L) sRGB, then one channel per layer, 1 for the Gaussian's own.
-        layer_ids: (N,) int64, index into `layers`.
-        layers: names, inner to outer.
-    """
-
-    means: Tensor
-    covariances: Tensor
-    opacities: Tensor
-    features: Tensor
-    layer_ids: Tensor
-    layers: tuple[str, ...]
-
-
-def compose(posed: dict[str, PosedGaussians]) -> Composite:
+def compose(posed: dict[str, PosedGaussians]) -> Gaussians:
     """Concatenate layers given inner to outer (name -> Gaussians)."""
     layers = tuple(posed)
     counts = [len(gaussians.means) for gaussians in posed.values()]
@@ -40,7 +22,7 @@ def compose(posed: dict[str, PosedGaussians]) -> Composite:
     )
     colors = torch.cat([gaussians.colors for gaussians in posed.values()])
     labels = functional.one_hot(layer_ids, len(layers)).to(colors.dtype)
-    return Composite(
+    return Gaussians(
         means=torch.cat([gaussians.means for gaussians in posed.values()]),
         covariances=torch.cat([gaussians.covariances for gaussians in posed.values()]),
         opacities=torch.cat([gaussians.opacities for gaussians in posed.values()]),
@@ -50,7 +32,7 @@ def compose(posed: dict[str, PosedGaussians]) -> Composite:
     )
 
 
-def relabelled(composite: Composite, layer_ids: Tensor, layers: tuple[str, ...]) -> Composite:
+def relabelled(composite: Gaussians, layer_ids: Tensor, layers: tuple[str, ...]) -> Gaussians:
     """The same Gaussians under other layers: those that their texels show, of a model with fewer layers.
 
     `layer_ids` (N,) are indices into `layers`; layers that no Gaussian shows are left out.

@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from stages.shared.avatar.compose import Composite
+from stages.shared.splat.gaussians import Gaussians
 from stages.shared.splat.ply import SplatCloud
 
 SMALLEST_SCALE = 1e-6  # m; what the 3DGS layout keeps apart from zero
 
 
-def cloud_of(composite: Composite) -> SplatCloud:
+def cloud_of(composite: Gaussians) -> SplatCloud:
     """All Gaussians of a composite, their layer's index in `layers`.
 
     Skinning shears a Gaussian, so that no rotation and scale of the canonical one describe it; the principal

@@ -20,7 +20,7 @@ from stages.shared.layers import SLOTS, label_of
 
 
 @dataclass(frozen=True, eq=False)
-class Beneath:
+class BodyUnderGarment:
     """The source's body beneath a garment: attributes of the body texels that the garment covers.
 
     Attributes:
@@ -66,7 +66,7 @@ class WornLayer:
     maps: LayerMaps
     model: Decoder
     source: str = ""
-    beneath: Beneath | None = None
+    beneath: BodyUnderGarment | None = None
     skin: Skin | None = None
     layer_ids: Tensor | None = None
     drive: str = "learned"
@@ -103,7 +103,7 @@ def layer_of_bundle(bundle: Bundle, where: str = "bundle") -> WornLayer:
     beneath = None
     swap = bundle.group("swap")
     if swap and len(swap["texels"]):
-        beneath = Beneath(
+        beneath = BodyUnderGarment(
             torch.from_numpy(swap["texels"].astype(np.int64)),
             torch.from_numpy(swap["offsets"].copy()),
             torch.from_numpy(swap["quaternions"].copy()),

@@ -11,19 +11,20 @@ from numpy.typing import NDArray
 
 from stages.shared.artifacts import Artifact
 from stages.shared.artifacts.bundle import Bundle
-from stages.shared.avatar.compose import Composite, compose, relabelled
+from stages.shared.avatar.compose import compose, relabelled
 from stages.shared.avatar.deform import PosedGaussians, pose_layer
 from stages.shared.avatar.motion import recent_motion
 from stages.shared.avatar.pose import pose_at
 from stages.shared.body import BodyModel, Poses
 from stages.shared.errors import BadData, UsageProblem
 from stages.shared.layers import BASELINE_LAYERS, BODY, LAYERS
+from stages.shared.outfit.collision_correction import CollisionCorrection, plan_correction
 from stages.shared.outfit.driver import LEARNED, GarmentDriver, choose_drivers
 from stages.shared.outfit.layer import WornLayer, layer_of_bundle, layer_of_training
-from stages.shared.outfit.push import Push, plan_push
-from stages.shared.outfit.rebind import convertible, rebound
-from stages.shared.outfit.restore import Restoration, plan_restoration, restored
-from stages.shared.outfit.swap import Swap, plan_swap, swapped
+from stages.shared.outfit.retarget import can_retarget, retarget_garment
+from stages.shared.outfit.swap import Swap, apply_swaps, plan_swap
+from stages.shared.outfit.uncovered_skin import UncoveredSkin, plan_uncovered_skin, restored
+from stages.shared.splat.gaussians import Gaussians
 
 _MOMENTS = 64
 
@@ -38,7 +39,7 @@ class Outfit:
         layers: inner to outer, body first.
         swaps: changes of the body's form beneath garments of other people.
         pushes: how garments of other people give way to the body.
-        restoration: of skin that was covered when the body was learned and is bare now.
+        uncovered_skin: of skin that clothes covered in training and that is bare now.
         drivers: of layers whose texels are not moved by their decoder and the bones.
     """
 
@@ -46,8 +47,8 @@ class Outfit:
     betas: NDArray[np.float32]
     layers: tuple[WornLayer, ...]
     swaps: tuple[Swap, ...] = ()
-    pushes: tuple[Push, ...] = ()
-    restoration: Restoration | None = None
+    corrections: tuple[CollisionCorrection, ...] = ()
+    uncovered_skin: UncoveredSkin | None = None
     drivers: Mapping[str, GarmentDriver] = field(default_factory=dict)
 
     def driven(self, drive: str) -> Outfit:
@@ -82,7 +83,7 @@ class Outfit:
         """All layers in the pose of a row of `poses`, in the world. Its betas are not used."""
         pose = pose_at(self.body_model, poses, frame, self.betas)
         posed: dict[str, PosedGaussians] = {}
-        pushes = {push.garment: push for push in self.pushes}
+        corrections = {push.garment: push for push in self.corrections}
         for layer in self.layers:
             driver = self.driver(layer)
             residual = driver.residual
@@ -92,11 +93,11 @@ class Outfit:
                 residual = layer.model.residual(pose.local_transforms, motion=motion)
             attributes = layer.model.attributes(residual)
             if layer.name == BODY:
-                attributes = swapped(restored(attributes, self.restoration), list(self.swaps))
+                attributes = apply_swaps(restored(attributes, self.uncovered_skin), list(self.swaps))
             matrices = driver.matrices(poses, frame)
             posed[layer.name] = pose_layer(layer.maps, attributes, pose.transforms, pose.betas, matrices)
-            if layer.name in pushes:
-                posed[layer.name] = pushes[layer.name].applied(posed[layer.name], posed[BODY])
+            if layer.name in corrections:
+                posed[layer.name] = corrections[layer.name].applied(posed[layer.name], posed[BODY])
         return posed
 
     @torch.no_grad()
@@ -117,7 +118,7 @@ class Outfit:
                     counts[name] = counts.get(name, 0) + model.projected(local)
         return counts
 
-    def composite(self, poses: Poses, frame: int) -> Composite:
+    def composite(self, poses: Poses, frame: int) -> Gaussians:
         """All Gaussians together, in the pose of a row of `poses`; layers are those the labels know."""
         composite = compose(self.posed(poses, frame))
         if all(layer.layer_ids is None for layer in self.layers):
@@ -158,15 +159,15 @@ def outfit_of_bundles(
     wearer = layer_of_bundle(body, body_name)
     layers = (wearer, *(_fitting(name, bundle, body, wearer, model) for name, bundle in ordered))
     swaps = [plan_swap(layers[0], layer) for layer in layers[1:]] if swap else []
-    pushes = [plan_push(layers[0], layer) for layer in layers[1:]] if push else []
+    corrections = [plan_correction(layers[0], layer) for layer in layers[1:]] if push else []
     shape = np.asarray(body.arrays["betas"] if betas is None else betas, dtype=np.float32)
     return Outfit(
         model,
         shape,
         layers,
         tuple(change for change in swaps if change is not None),
-        tuple(found for found in pushes if found is not None),
-        plan_restoration(layers[0], layers[1:]) if restore else None,
+        tuple(found for found in corrections if found is not None),
+        plan_uncovered_skin(layers[0], layers[1:]) if restore else None,
     )
 
 
@@ -184,14 +185,14 @@ def _fitting(name: str, garment: Bundle, body: Bundle, wearer: WornLayer, model:
     """A garment's layer, carried over to the wearer's body model where it was made with another one."""
     if garment.manifest["body_model"]["digest"] == body.manifest["body_model"]["digest"]:
         return layer_of_bundle(garment, name)
-    if not convertible(garment):
+    if not can_retarget(garment):
         raise BadData(
             f"{name} was made with another body model than the body, and does not say where its bones were.",
             name,
             "Export it again with this version of gw, or train both with one body model "
             "(gw register-template --body-model).",
         )
-    return rebound(layer_of_bundle(garment, name), garment.arrays["joints"], wearer, model)
+    return retarget_garment(layer_of_bundle(garment, name), garment.arrays["joints"], wearer, model)
 
 
 def _the_body(named: Sequence[tuple[str, Bundle]]) -> tuple[str, Bundle]:

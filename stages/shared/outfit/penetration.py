@@ -51,7 +51,7 @@ TRYON_MARGINS = PenetrationConfig(body_margin=0.05, garment_margin=0.10)
 
 
 @dataclass(frozen=True, eq=False)
-class Repaired:
+class ResolvedImage:
     """A composite after the pass.
 
     Attributes:
@@ -67,7 +67,7 @@ class Repaired:
 
 def repair(
     rendering: LayeredRendering, layers: tuple[str, ...], config: PenetrationConfig = PenetrationConfig()
-) -> Repaired:
+) -> ResolvedImage:
     """Run the pass over every pair of layers, garments among each other first, then the body against each.
 
     Arguments:
@@ -91,7 +91,7 @@ def repair(
         shown = (features[..., 3 + outer] > 0.5) & (alpha >= 0.5)
         if not shown.any():
             continue
-        inside = enclosed(shown, config.rim)
+        inside = fill_contours(shown, config.rim)
         opaque = own_alpha[outer] > config.opaque
         behind = own_depth[inner] >= own_depth[outer] - config.margin(layers[inner])
         place = np.nonzero(inside & opaque & behind)
@@ -103,12 +103,12 @@ def repair(
         taken = np.zeros((len(wrong), features.shape[2]), np.float32)
         taken[:, :3], taken[:, 3 + outer] = own_color[outer][place], own_alpha[outer][place]
         features[place], alpha[place], depth[place] = taken, own_alpha[outer][place], own_sum[outer][place]
-    return Repaired(repaired, total, counts)
+    return ResolvedImage(repaired, total, counts)
 
 
-def repair_view(
+def resolve_penetration_tiles(
     view: LayeredView, layers: tuple[str, ...], config: PenetrationConfig = PenetrationConfig()
-) -> Repaired:
+) -> ResolvedImage:
     """`repair` on the tile lists of a composite, which is changed in place: the same bytes, sooner.
 
     A layer is rendered alone only in tiles, and blocks of them, where some pixel's fate depends on it.
@@ -119,13 +119,13 @@ def repair_view(
     for inner, outer in _pairs(layers):
         shown = view.shown(outer, box)
         if shown.any():
-            inside[box], margin = enclosed(shown, config.rim), config.margin(layers[inner])
+            inside[box], margin = fill_contours(shown, config.rim), config.margin(layers[inner])
             number = view.repair(inside, inner, outer, margin, config.opaque, repaired)
             counts[f"{layers[inner]}/{layers[outer]}"] = number
-    return Repaired(picture, repaired.view(bool), counts)
+    return ResolvedImage(picture, repaired.view(bool), counts)
 
 
-def enclosed(shown: Mask | NDArray[np.uint8], rim: int) -> Mask:
+def fill_contours(shown: Mask | NDArray[np.uint8], rim: int) -> Mask:
     """The pixels inside the outer outlines of a mask (H, W), holes filled, `rim` pixels off the outlines."""
     picture = np.ascontiguousarray(shown, dtype=np.uint8)
     contours, _ = cv2.findContours(picture, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)

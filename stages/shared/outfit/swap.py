@@ -63,7 +63,7 @@ def plan_swap(body: WornLayer, garment: WornLayer, feather: float = FEATHER) -> 
     )
 
 
-def swapped(attributes: Attributes, swaps: list[Swap]) -> Attributes:
+def apply_swaps(attributes: Attributes, swaps: list[Swap]) -> Attributes:
     """Body attributes with the swaps of all garments, inner ones first."""
     for swap in swaps:
         attributes = replace(
@@ -87,7 +87,7 @@ def slerp(start: Tensor, end: Tensor, weights: Tensor) -> Tensor:
     return torch.nn.functional.normalize(first * start + second * end, dim=1)
 
 
-def beneath_texels(body: LayerMaps, garment: LayerMaps) -> Tensor:
+def covered_texels(body: LayerMaps, garment: LayerMaps) -> Tensor:
     """(K,) int64 indices of the body texels that a bundle of this garment must carry."""
     return torch.from_numpy(covered_weights(body, garment, feather=0.0) > 0).nonzero()[:, 0]
 

@@ -47,19 +47,19 @@ def viewpoint_cameras(
     count = len(joints)
     if kind == "static":
         middle, half = _box(joints.reshape(-1, 3), facing)
-        camera = looking_camera("static", middle, facing, half, size)
+        camera = look_at_camera("static", middle, facing, half, size)
         return [camera] * count
     pelvis = _smooth(joints[:, 0], window=max(3, int(poses.fps)))
     relative = joints - pelvis[:, None]
     centre, half = _box(relative.reshape(-1, 3), None)
     angles = facing + 2 * np.pi * turns * np.arange(count) / max(count, 1)
     return [
-        looking_camera("orbit", place + [0, centre[1], 0], angle, half, size)
+        look_at_camera("orbit", place + [0, centre[1], 0], angle, half, size)
         for place, angle in zip(pelvis, angles, strict=True)
     ]
 
 
-def looking_camera(
+def look_at_camera(
     name: str,
     target: NDArray[np.float64],
     azimuth: float,

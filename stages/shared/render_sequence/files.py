@@ -11,19 +11,19 @@ from numpy.typing import NDArray
 
 from stages.shared.artifacts.files import make_folders, write_file
 from stages.shared.artifacts.pictures import encode_png
-from stages.shared.avatar.compose import Composite
 from stages.shared.capture.camera import Camera
 from stages.shared.export.cloud import cloud_of
 from stages.shared.export.splats import write_splats
-from stages.shared.outfit.picture import Shot, straight_alpha, to_bytes
+from stages.shared.outfit.render_image import RenderedImage, straight_alpha, to_bytes
 from stages.shared.pictures.sheet import chosen, contact_sheet, shrunk
 from stages.shared.pictures.video import VideoWriter, chosen_suffix
 from stages.shared.render_sequence.outputs import SequenceFrame, SequenceOutputs
+from stages.shared.splat.gaussians import Gaussians
 
 _SHEET_PICTURES, _SHEET_COLUMNS, _SHEET_SIDE = 12, 6, 320
 
 
-def write_passes(folder: Path, shot: Shot, name: str, passes: tuple[str, ...]) -> None:
+def write_passes(folder: Path, shot: RenderedImage, name: str, passes: tuple[str, ...]) -> None:
     """All files of one picture; name: `picture_name`."""
     files = {f"frames/{name}": encode_png(shot.straight())}
     if "labels" in passes:
@@ -39,7 +39,7 @@ def write_passes(folder: Path, shot: Shot, name: str, passes: tuple[str, ...]) -
         write_file(folder / path, data)
 
 
-def write_exports(folder: Path, composite: Composite, row: int, kinds: tuple[str, ...]) -> None:
+def write_exports(folder: Path, composite: Gaussians, row: int, kinds: tuple[str, ...]) -> None:
     """One moment's Gaussians in every splat format of `kinds`."""
     cloud = cloud_of(composite)
     for kind in kinds:

@@ -30,11 +30,11 @@ from stages.shared.artifacts.files import write_whole
 from stages.shared.body import Poses
 from stages.shared.errors import UsageProblem
 from stages.shared.export.notes import NOTES_NAME, write_notes
-from stages.shared.outfit.hidden import LEAST_PICTURES, plan_hidden
+from stages.shared.outfit.cached_poser import CachedPoser
 from stages.shared.outfit.outfit import Outfit
-from stages.shared.outfit.picture import take_picture
-from stages.shared.outfit.playback import side_by_side, threads_restored
-from stages.shared.outfit.player import Player
+from stages.shared.outfit.parallel_frames import parallel_frames, threads_restored
+from stages.shared.outfit.render_image import render_image
+from stages.shared.outfit.visibility_culling import LEAST_PICTURES, find_hidden_texels
 from stages.shared.pictures.parts import RECORDS, Share
 from stages.shared.render_sequence.files import (
     picture_name,
@@ -80,7 +80,7 @@ def write_frames(
     missing = [frame for frame in frames_of_share if not _record(folder, frame.row).exists()]
     at_a_time = max(1, min(torch.get_num_threads(), len(missing)))
 
-    def work(player: Player, frame: SequenceFrame) -> None:
+    def work(player: CachedPoser, frame: SequenceFrame) -> None:
         counts = _write_frame(folder, player, poses, frame, outputs)
         counts.wall = counts.rendering / at_a_time
         write_whole(_record(folder, frame.row), canonical_json(asdict(counts)))
@@ -89,7 +89,7 @@ def write_frames(
         torch.set_num_threads(1)  # a frame's rounding must not depend on how many are left to render
         outfit.prepare(poses, sorted(frame.row for frame in missing))
         hidden = _hidden_texels(outfit, poses, frames, outputs) if missing else None
-        with closing(side_by_side(outfit, missing, work, at_a_time, hidden)) as results:
+        with closing(parallel_frames(outfit, missing, work, at_a_time, hidden)) as results:
             for index, _ in enumerate(results):
                 report.progress(index + 1, len(missing))
     return len(frames_of_share) - len(missing)
@@ -121,11 +121,11 @@ def _hidden_texels(
     body_alone = bool(outputs.exports) or "layers" in outputs.passes or not outputs.pictures
     if not outputs.cull or body_alone or pictures < LEAST_PICTURES:
         return None
-    return plan_hidden(outfit, poses, [frame.row for frame in frames])
+    return find_hidden_texels(outfit, poses, [frame.row for frame in frames])
 
 
 def _write_frame(
-    folder: Path, player: Player, poses: Poses, frame: SequenceFrame, outputs: SequenceOutputs
+    folder: Path, player: CachedPoser, poses: Poses, frame: SequenceFrame, outputs: SequenceOutputs
 ) -> SequenceSummary:
     """All files of one moment, and their counts."""
     counts = SequenceSummary()
@@ -139,7 +139,7 @@ def _write_frame(
     for camera in frame.cameras if outputs.pictures else ():
         started = time.perf_counter()
         each_layer = "layers" in outputs.passes
-        shot = take_picture(composite, camera, outputs.penetration, each_layer, settings=outputs.splatting)
+        shot = render_image(composite, camera, outputs.penetration, each_layer, settings=outputs.splatting)
         counts.clock("render", started)
         counts.add(SequenceSummary(pictures=1, penetrated=shot.counts))
         started = time.perf_counter()

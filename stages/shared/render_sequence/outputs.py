@@ -35,8 +35,8 @@ class SequenceOutputs:
         camera_folders: one folder per camera, as a capture has them.
         exports: splat formats in which every frame's Gaussians are written.
         pictures: whether pictures are written, or exports only.
-        cull: leave out hidden body Gaussians (`stages/shared/outfit/hidden.py`) in a sequence that is long
-            enough for that to pay; never where the body alone is shown or exported.
+        cull: leave out hidden body Gaussians (`stages/shared/outfit/visibility_culling.py`) in a sequence
+            that is long enough for that to pay; never where the body alone is shown or exported.
         splatting: cut-offs.
     """
 

@@ -170,7 +170,7 @@ def _described(sequence: RenderSequence) -> dict[str, Any]:
         "bundles": sequence.digests,
         "betas": [round(float(value), 6) for value in outfit.betas],
         "swapped_texels": {change.garment: change.count for change in outfit.swaps},
-        "restored_texels": outfit.restoration.count if outfit.restoration else 0,
+        "restored_texels": outfit.uncovered_skin.count if outfit.uncovered_skin else 0,
         "projected_frames": outfit.projected_frames(sequence.poses, rows),
         "cameras": list(cameras),
         "take": sequence.take.name if sequence.take else None,

@@ -15,7 +15,7 @@ from stages.shared.artifacts.canonical import KEY_LENGTH, canonical_json, digest
 from stages.shared.body import Poses, canonical_poses
 from stages.shared.capture import Take, open_capture
 from stages.shared.errors import MissingInput, UsageProblem
-from stages.shared.outfit.grounding import grounded
+from stages.shared.outfit.foot_height import fix_foot_height
 from stages.shared.outfit.outfit import Outfit, outfit_of_bundles, outfit_of_training
 from stages.shared.outfit.sources import capture_take, parse_betas, parse_frames, read_bundles
 from stages.shared.outfit.viewpoints import viewpoint_cameras
@@ -78,7 +78,7 @@ def open_sequence(
     elif poses_path is not None:
         poses = load_poses(poses_path, outfit.body_model, config.fps or None, report=report)
         if config.ground and take is None:
-            poses = grounded(poses, outfit.body_model, outfit.betas)
+            poses = fix_foot_height(poses, outfit.body_model, outfit.betas)
     elif take is not None:
         poses = take.poses
     elif subject_poses is not None:

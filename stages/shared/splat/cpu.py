@@ -14,7 +14,7 @@ from torch import Tensor
 
 from stages.shared.report import SILENT, Report
 from stages.shared.splat.cpu_steps import (
-    Gaussians,
+    FlatGaussians,
     Pictures,
     RefusedGaussians,
     Sizes,
@@ -121,9 +121,9 @@ class _Rasterize(torch.autograd.Function):
         return (None, None, *outgoing, g_viewmats, g_Ks, g_background)
 
 
-def _gaussians(inputs: Iterable[Tensor | None]) -> Gaussians:
+def _gaussians(inputs: Iterable[Tensor | None]) -> FlatGaussians:
     arrays: list[Any] = [None if x is None else x.detach().contiguous().numpy().reshape(-1) for x in inputs]
-    return Gaussians(*arrays)
+    return FlatGaussians(*arrays)
 
 
 def _own_pictures(scene: Scene) -> Tensor | None:

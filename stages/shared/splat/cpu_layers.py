@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from stages.shared.splat.cpu_steps import (
-    Gaussians,
+    FlatGaussians,
     Pictures,
     RefusedGaussians,
     Sizes,
@@ -134,7 +134,7 @@ def _blended(scene: Scene) -> LayeredView:
         for x in (scene.means, None, None, scene.covars, scene.opacities, scene.colors)
     ]
     camera = camera_numbers(scene.viewmats[0].double().numpy(), scene.Ks[0].double().numpy(), sizes)
-    view = arrange(Gaussians(*flat), camera, np.zeros(channels, sizes.kind), sizes)
+    view = arrange(FlatGaussians(*flat), camera, np.zeros(channels, sizes.kind), sizes)
     features, alone = torch.empty(1, *place, channels), torch.empty(1, 0, *place, 0)
     alpha, depth = torch.empty(1, 1, *place), torch.empty(1, 1, *place)
     blend_view(view, Pictures.of((features, alone, alpha, depth), 0), None, sizes)

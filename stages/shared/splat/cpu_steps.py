@@ -79,7 +79,7 @@ class Sizes:
 
 
 @dataclass(frozen=True)
-class Gaussians:
+class FlatGaussians:
     """The inputs as flat arrays; own_pictures int32: from 1 on, 0 where only the composite counts."""
 
     means: np.ndarray  # (3N,)
@@ -151,7 +151,7 @@ def _whole_lines(count: int, sizes: Sizes) -> np.ndarray:
     return room[skip : skip + count]
 
 
-def arrange(gaussians: Gaussians, camera: np.ndarray, background: np.ndarray, sizes: Sizes) -> View:
+def arrange(gaussians: FlatGaussians, camera: np.ndarray, background: np.ndarray, sizes: Sizes) -> View:
     """Project, sort by depth, sort into tiles."""
     n = len(gaussians.opacities)
     records, boxes = _whole_lines(n * sizes.record, sizes), np.empty(4 * n, np.uint16)
@@ -199,7 +199,7 @@ def blend_view(view: View, pictures: Pictures, median: np.ndarray | None, sizes:
 
 
 def view_backward(
-    gaussians: Gaussians,
+    gaussians: FlatGaussians,
     view: View,
     pictures: Pictures,
     incoming: Pictures,

@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.shared.artifacts.canonical import canonical_json
-from stages.shared.avatar.compose import Composite
 from stages.shared.export.cloud import cloud_of
+from stages.shared.splat.gaussians import Gaussians
 
 _MAGIC = 0x53575347
 
 
-def pack_gaussians(composite: Composite) -> bytes:
+def pack_gaussians(composite: Gaussians) -> bytes:
     """The bytes of all Gaussians, layer after layer."""
     order = np.argsort(composite.layer_ids.numpy(), kind="stable")
     cloud = cloud_of(composite)

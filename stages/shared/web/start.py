@@ -6,11 +6,11 @@ from importlib import resources
 
 import numpy as np
 
-from stages.shared.avatar.compose import Composite
 from stages.shared.capture.camera import Camera
+from stages.shared.splat.gaussians import Gaussians
 
 
-def orbit_start(camera: Camera, composite: Composite) -> dict[str, object]:
+def orbit_start(camera: Camera, composite: Gaussians) -> dict[str, object]:
     """Target, distance (m), azimuth from +z towards +x, tilt (rad), field of view (degrees, longer side).
 
     The eye is that of `camera`; it looks at the middle of the Gaussians.

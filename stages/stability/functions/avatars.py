@@ -20,7 +20,7 @@ from stages.shared.avatar.decoders.styleunet import StyleUNetDecoder
 from stages.shared.avatar.deform import Attributes, pose_layer, shaped_positions
 from stages.shared.avatar.motion import RATES, UP, motion_scale, recent_motion, time_constant
 from stages.shared.body import Poses
-from stages.shared.outfit.push import smooth_field
+from stages.shared.outfit.collision_correction import smooth_field
 from stages.shared.poses.convert import resample
 from stages.shared.splat.api import rasterize
 from stages.stability.function import Function, Inputs, unit

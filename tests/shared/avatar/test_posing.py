@@ -1,4 +1,4 @@
-"""The fused posing against the plain one: `attributes`, `swapped` and `pose_layer`."""
+"""The fused posing against the plain one: `attributes`, `apply_swaps` and `pose_layer`."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from stages.shared.avatar.decoders.styleunet import StyleUNetDecoder
 from stages.shared.avatar.deform import pose_layer, rotation_matrices
 from stages.shared.avatar.pose import FramePose
 from stages.shared.avatar.posing import PosedBuffers, PosedLayer, Replacement
-from stages.shared.outfit.restore import Restoration, restored
-from stages.shared.outfit.swap import Swap, swapped
+from stages.shared.outfit.swap import Swap, apply_swaps
+from stages.shared.outfit.uncovered_skin import UncoveredSkin, restored
 from tests.shared.avatar.tubes import tube
 
 BETAS = torch.linspace(-2, 2, 10)
@@ -74,7 +74,7 @@ def test_fused_posing_is_the_plain_one(kind: str, swaps: int) -> None:
     skin = None
     if swaps:
         weights = torch.rand(count, 1, generator=generator)
-        skin = Restoration(
+        skin = UncoveredSkin(
             weights,
             0.01 * torch.randn(count, 3, generator=generator),
             torch.rand(count, 3, generator=generator),
@@ -84,7 +84,7 @@ def test_fused_posing_is_the_plain_one(kind: str, swaps: int) -> None:
         )
     with torch.no_grad():
         attributes = restored(model(pose), skin)
-        attributes = swapped(attributes, changes)
+        attributes = apply_swaps(attributes, changes)
         plain = pose_layer(model.maps, attributes, world, BETAS)
         out = _buffers(count)
         replaced = [

@@ -22,7 +22,7 @@ from stages.shared.export.glb import GlbReader
 from stages.shared.export.splat_glb import read_splat_glb
 from stages.shared.export.splats import read_splats, splat_facts, write_splats
 from stages.shared.export.spz import pack_smallest_three, unpack_smallest_three
-from stages.shared.outfit.picture import take_picture
+from stages.shared.outfit.render_image import render_image
 from stages.shared.splat.api import rasterize
 from stages.shared.splat.ply import SplatCloud
 from tests.shared.outfit.wardrobe import cameras, motion, outfit
@@ -56,7 +56,7 @@ def test_a_reread_file_looks_like_the_render(posed, tmp_path: Path, kind: str) -
     """A bent body: its Gaussians are sheared by skinning."""
     path = tmp_path / f"frame.{kind}"
     write_splats(path, cloud_of(posed), posed.layers)
-    direct = take_picture(posed, cameras()[1]).color
+    direct = render_image(posed, cameras()[1]).color
     assert psnr(picture_of(read_splats(path)), direct) > BARS[kind]
     turned = picture_of(read_splats(path))[:, ::-1]
     assert psnr(turned, direct) < 25  # the comparison can tell pictures apart

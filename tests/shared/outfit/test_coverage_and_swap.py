@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from stages.shared.avatar.deform import Attributes
 from stages.shared.outfit.coverage import covered_weights
-from stages.shared.outfit.layer import Beneath
-from stages.shared.outfit.swap import beneath_texels, plan_swap, slerp, swapped
+from stages.shared.outfit.layer import BodyUnderGarment
+from stages.shared.outfit.swap import apply_swaps, covered_texels, plan_swap, slerp
 from tests.shared.outfit.wardrobe import PITCH, worn
 
 BODY, UPPER = worn("body", source="one"), worn("upper", source="other")
@@ -48,11 +48,11 @@ def test_a_garment_far_away_covers_nothing() -> None:
     assert covered_weights(BODY.maps, replace(UPPER.maps, positions=moved)).max() == 0
 
 
-def _beneath(value: float) -> Beneath:
-    texels = beneath_texels(BODY.maps, UPPER.maps)
+def _beneath(value: float) -> BodyUnderGarment:
+    texels = covered_texels(BODY.maps, UPPER.maps)
     count = len(texels)
     turn = torch.tensor([np.cos(0.3), 0.0, np.sin(0.3), 0.0], dtype=torch.float32)
-    return Beneath(BODY.maps.texels[texels], torch.full((count, 3), value), turn.repeat(count, 1))
+    return BodyUnderGarment(BODY.maps.texels[texels], torch.full((count, 3), value), turn.repeat(count, 1))
 
 
 def _attributes() -> Attributes:
@@ -70,7 +70,7 @@ def test_swap_changes_offset_and_rotation_of_covered_texels_only() -> None:
     swap = plan_swap(BODY, replace(UPPER, beneath=_beneath(-0.2)), feather=0.08)
     assert swap is not None and swap.count > 0
     before = _attributes()
-    after = swapped(before, [swap])
+    after = apply_swaps(before, [swap])
     bare, deep = swap.weights[:, 0] == 0, swap.weights[:, 0] == 1
     assert torch.equal(after.offsets[bare], before.offsets[bare])
     assert torch.allclose(after.quaternions[bare], before.quaternions[bare])
@@ -92,7 +92,7 @@ def test_no_swap_among_pieces_learned_together_or_on_another_grid() -> None:
 def test_texels_that_only_one_body_has_stay_as_they_are() -> None:
     beneath = _beneath(1.0)
     half = len(beneath.texels) // 2
-    part = Beneath(beneath.texels[:half], beneath.offsets[:half], beneath.quaternions[:half])
+    part = BodyUnderGarment(beneath.texels[:half], beneath.offsets[:half], beneath.quaternions[:half])
     swap = plan_swap(BODY, replace(UPPER, beneath=part))
     whole = plan_swap(BODY, replace(UPPER, beneath=beneath))
     assert swap is not None and whole is not None

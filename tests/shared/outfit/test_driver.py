@@ -14,8 +14,8 @@ from stages.shared.avatar.deform import blended
 from stages.shared.avatar.pose import FramePose, frame_pose
 from stages.shared.body import Poses
 from stages.shared.errors import UsageProblem
+from stages.shared.outfit.cached_poser import CachedPoser
 from stages.shared.outfit.outfit import Outfit
-from stages.shared.outfit.player import Player
 from tests.shared.avatar.test_blendshapes import CONFIG as BLENDSHAPES
 from tests.shared.outfit.wardrobe import motion, outfit
 
@@ -47,7 +47,7 @@ def _pose(dressed: Outfit, poses: Poses, row: int) -> FramePose:
 
 
 def _same(one: Outfit, row: int) -> None:
-    cached, plain = Player(one).composite(POSES, row), one.composite(POSES, row)
+    cached, plain = CachedPoser(one).composite(POSES, row), one.composite(POSES, row)
     for name, tolerance in (("means", 5e-6), ("covariances", 1e-7), ("opacities", 1e-6), ("features", 1e-6)):
         assert torch.allclose(getattr(cached, name), getattr(plain, name), atol=tolerance), name
 

@@ -12,7 +12,7 @@ from stages.shared.body import embedded_body, posed_joints
 from stages.shared.errors import BadData, UsageProblem
 from stages.shared.outfit.outfit import outfit_of_bundles
 from stages.shared.outfit.penetration import PenetrationConfig
-from stages.shared.outfit.picture import take_picture
+from stages.shared.outfit.render_image import render_image
 from stages.shared.outfit.sources import parse_betas, parse_frames
 from stages.shared.outfit.viewpoints import viewpoint_cameras
 from tests.shared.outfit.wardrobe import bundle, cameras, motion, outfit, worn
@@ -66,8 +66,8 @@ def test_betas_come_from_the_body_and_move_the_garment_too() -> None:
 
 def test_pass_off_and_layers_alone_leave_the_composite_as_it_is() -> None:
     composite = outfit("body", "lower", "upper").composite(motion(), 2)
-    plain = take_picture(composite, cameras()[0])
-    with_layers = take_picture(composite, cameras()[0], each_layer=True)
+    plain = render_image(composite, cameras()[0])
+    with_layers = render_image(composite, cameras()[0], each_layer=True)
     assert np.abs(plain.color - with_layers.color).max() < 1e-5
     assert set(with_layers.layers) == {"body", "lower", "upper"}
     assert np.array_equal(plain.labels, with_layers.labels)
@@ -82,15 +82,15 @@ def test_pass_repairs_a_body_that_pokes_through() -> None:
     poking = type(dressed)(dressed.body_model, dressed.betas, layers)
     composite = poking.composite(motion(), 2)
     camera = cameras()[0].scaled(3)
-    before = take_picture(composite, camera)
-    after = take_picture(composite, camera, PenetrationConfig())
+    before = render_image(composite, camera)
+    after = render_image(composite, camera, PenetrationConfig())
     assert after.repaired is not None
     assert (after.labels == 3).sum() >= (before.labels == 3).sum() + after.repaired.sum() * 0.9
     assert after.counts.keys() == {"body/upper"}
 
 
 def test_straight_alpha_over_black_is_the_render() -> None:
-    shot = take_picture(outfit("body").composite(motion(), 0), cameras()[1])
+    shot = render_image(outfit("body").composite(motion(), 0), cameras()[1])
     png = shot.straight().astype(float)
     on_black = png[..., :3] * png[..., 3:] / 255
     assert np.abs(on_black - shot.on((0, 0, 0))).max() <= 1.5

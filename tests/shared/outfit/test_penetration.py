@@ -7,7 +7,7 @@ import pytest
 import torch
 from scipy import ndimage
 
-from stages.shared.outfit.penetration import TRYON_MARGINS, PenetrationConfig, enclosed, repair
+from stages.shared.outfit.penetration import TRYON_MARGINS, PenetrationConfig, fill_contours, repair
 from stages.shared.splat.rendering import LayeredRendering, Rendering
 
 SIZE = 40
@@ -123,9 +123,9 @@ def test_enclosed_is_filling_holes_and_eroding(seed: int) -> None:
     shown = noise > 0.02
     filled = ndimage.binary_fill_holes(shown)
     expected = ndimage.binary_erosion(filled, np.ones((3, 3)), iterations=2)
-    assert np.array_equal(enclosed(shown, 2), expected)
-    assert np.array_equal(enclosed(shown, 0), filled)
-    assert not enclosed(np.zeros((5, 5), bool), 2).any()
+    assert np.array_equal(fill_contours(shown, 2), expected)
+    assert np.array_equal(fill_contours(shown, 0), filled)
+    assert not fill_contours(np.zeros((5, 5), bool), 2).any()
 
 
 def test_four_layers_in_order_each_repaired_by_its_own_outer() -> None:

@@ -20,8 +20,8 @@ from stages.shared.body import BodyModel, Poses, embedded_body
 from stages.shared.capture import Camera, native_writer
 from stages.shared.outfit.layer import WornLayer
 from stages.shared.outfit.outfit import Outfit
-from stages.shared.outfit.picture import take_picture
-from stages.shared.outfit.viewpoints import looking_camera
+from stages.shared.outfit.render_image import render_image
+from stages.shared.outfit.viewpoints import look_at_camera
 from tests.shared.avatar.tubes import CENTRE, GRID, PITCH, tube_arrays
 
 MODEL = ModelConfig(width=0.0625, depth=2, style=8, factor=4)
@@ -98,7 +98,7 @@ def motion(frames: int = FRAMES) -> Poses:
 def cameras() -> list[Camera]:
     """Three around the tubes; the third is held out."""
     return [
-        replace(looking_camera("", np.zeros(3), angle, (0.35, 0.4, 0.35), (SIZE, SIZE)), name=f"cam{index}")
+        replace(look_at_camera("", np.zeros(3), angle, (0.35, 0.4, 0.35), (SIZE, SIZE)), name=f"cam{index}")
         for index, angle in enumerate((0.0, 2.1, 1.0))
     ]
 
@@ -113,7 +113,7 @@ def make_subject(folder: Path, trained: bool = True) -> Path:
             for frame in range(FRAMES):
                 composite = dressed.composite(motion(), frame)
                 for camera in cameras():
-                    shot = take_picture(composite, camera)
+                    shot = render_image(composite, camera)
                     picture = shot.on((0.0, 0.0, 0.0)).astype(int)
                     picture = np.where(picture < 128, picture + SHIFT, picture - SHIFT).astype(np.uint8)
                     mask = (shot.alpha > 0.5).astype(np.uint8) * 255

@@ -12,8 +12,8 @@ import pytest
 import torch
 
 from stages.shared.errors import StorageFailure
+from stages.shared.outfit.cached_poser import CachedPoser
 from stages.shared.outfit.outfit import outfit_of_bundles
-from stages.shared.outfit.player import Player
 from stages.shared.pictures.parts import RECORDS, Share
 from stages.shared.render_sequence import frames as sequence_frames
 from stages.shared.render_sequence.frames import assemble, write_frames
@@ -113,7 +113,7 @@ def test_a_full_disk_reaches_the_caller(tmp_path: Path, monkeypatch: pytest.Monk
     genuine = sequence_frames._write_frame
 
     def full(
-        folder: Path, player: Player, poses: object, frame: SequenceFrame, config: SequenceOutputs
+        folder: Path, player: CachedPoser, poses: object, frame: SequenceFrame, config: SequenceOutputs
     ) -> object:
         if frame.row == 4:
             raise StorageFailure("The disk is full.", "here", "Free some.")

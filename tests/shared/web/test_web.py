@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from stages.shared.export.cloud import cloud_of
-from stages.shared.outfit.viewpoints import looking_camera
+from stages.shared.outfit.viewpoints import look_at_camera
 from stages.shared.web.pack import pack_gaussians
 from stages.shared.web.start import orbit_start, viewer_script
 from tests.shared.outfit.wardrobe import motion, outfit
@@ -54,7 +54,7 @@ def test_packed_gaussians_keep_their_place_form_and_colour() -> None:
 
 def test_the_first_camera_is_the_given_one() -> None:
     composite = outfit("body").composite(motion(), 0)
-    camera = looking_camera("a", np.array([0.2, 0.1, -0.1]), 0.7, (0.4, 0.5, 0.3), (120, 160))
+    camera = look_at_camera("a", np.array([0.2, 0.1, -0.1]), 0.7, (0.4, 0.5, 0.3), (120, 160))
     start = orbit_start(camera, composite)
     away = np.array([np.sin(start["azimuth"]), 0, np.cos(start["azimuth"])]) * np.cos(start["tilt"])
     away[1] = np.sin(start["tilt"])

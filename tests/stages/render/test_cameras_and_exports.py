@@ -16,7 +16,7 @@ from stages.render import stage
 from stages.shared.body import embedded_body
 from stages.shared.errors import BadData, MissingInput, UsageProblem
 from stages.shared.export.splats import read_splats
-from stages.shared.outfit.grounding import grounded
+from stages.shared.outfit.foot_height import fix_foot_height
 from stages.shared.render_sequence.camera_path import path_cameras
 from stages.shared.render_sequence.config import RenderConfig
 from tests.shared.outfit.wardrobe import cameras, motion, outfit
@@ -199,6 +199,6 @@ def test_a_taller_wearer_keeps_the_floor(wardrobe: Path, tmp_path: Path) -> None
         heights[ground] = read_splats(out / "ply/frame000002.ply").means[:, 1].mean()
     from_embedded = embedded_body()
     wearer = np.array([4, *[0] * 9], np.float32)
-    moved = grounded(motion(), from_embedded, wearer).translation[2, 1] - motion().translation[2, 1]
+    moved = fix_foot_height(motion(), from_embedded, wearer).translation[2, 1] - motion().translation[2, 1]
     assert abs(moved) > 0.01
     assert heights[True] - heights[False] == pytest.approx(moved, abs=1e-4)

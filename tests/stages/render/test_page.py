@@ -16,7 +16,7 @@ from gw_cli.app import app
 from stages.render import page
 from stages.shared.capture.camera import Camera
 from stages.shared.errors import UsageProblem
-from stages.shared.outfit.picture import take_picture
+from stages.shared.outfit.render_image import render_image
 from stages.shared.render_sequence.config import RenderConfig
 from tests.browser import browser_page
 from tests.shared.outfit.wardrobe import cameras, motion, outfit
@@ -69,14 +69,14 @@ def test_looks_like_the_render(turntable: Path) -> None:
         assert tab.run("gw.canvas.halfFloat")
         for camera in cameras():
             found = tab.run(f"gw.canvas.draw({in_javascript(camera)}), byId('canvas').toDataURL()")
-            truth = take_picture(composite, camera).on((1.0, 1.0, 1.0))
+            truth = render_image(composite, camera).on((1.0, 1.0, 1.0))
             assert psnr(decoded(found), truth) > BAR
             assert psnr(decoded(found)[:, ::-1], truth) < 25
         tab.run("gw.redraw()")
         before = tab.screenshot()
         tab.run("document.querySelector('input[name=upper]').click()")
         tab.run("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
-        bare = take_picture(outfit("body", "lower").composite(motion(), 3), cameras()[0]).on((1.0, 1.0, 1.0))
+        bare = render_image(outfit("body", "lower").composite(motion(), 3), cameras()[0]).on((1.0, 1.0, 1.0))
         found = tab.run(f"gw.canvas.draw({in_javascript(cameras()[0])}), byId('canvas').toDataURL()")
         assert psnr(decoded(found), bare) > BAR  # a layer is off
         assert psnr(before, tab.screenshot()) < 40

@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 from gw_cli.app import app
 from stages.render import stage
 from stages.shared.errors import MissingInput, UsageProblem
-from stages.shared.outfit.picture import take_picture
-from stages.shared.outfit.player import Player
+from stages.shared.outfit.cached_poser import CachedPoser
+from stages.shared.outfit.render_image import render_image
 from stages.shared.render_sequence.config import RenderConfig
 from tests.shared.outfit.wardrobe import cameras, motion, outfit
 
@@ -35,7 +35,7 @@ def test_cameras_of_a_capture(dressed_subject: Path, tmp_path: Path) -> None:
     result = stage.run([dressed_subject], None, capture, out, config)
     assert result.summary["cameras"] == ["cam0", "cam1", "cam2"] and result.summary["pictures"] == 6
     frame = cv2.imread(str(out / "frames/cam2/000003.png"), cv2.IMREAD_UNCHANGED)
-    shot = take_picture(Player(outfit("body", "lower", "upper")).composite(motion(), 3), cameras()[2])
+    shot = render_image(CachedPoser(outfit("body", "lower", "upper")).composite(motion(), 3), cameras()[2])
     assert np.array_equal(frame[..., [2, 1, 0, 3]], shot.straight())
     labels = cv2.imread(str(out / "labels/cam2/000003.png"), cv2.IMREAD_UNCHANGED)
     assert np.array_equal(labels, shot.labels)

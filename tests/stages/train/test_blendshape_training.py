@@ -19,9 +19,9 @@ from stages.shared.artifacts import Workspace
 from stages.shared.avatar.config import ModelConfig
 from stages.shared.avatar.decoders.blendshapes import BlendshapeDecoder
 from stages.shared.errors import UsageProblem
+from stages.shared.outfit.cached_poser import CachedPoser
 from stages.shared.outfit.layer import layer_of_training
 from stages.shared.outfit.outfit import outfit_of_bundles, outfit_of_training
-from stages.shared.outfit.player import Player
 from stages.shared.outfit.sources import read_bundles
 from stages.train import cost, stage
 from stages.train.config import PRESETS, LearningRates, TrackConfig, TrainConfig
@@ -49,14 +49,14 @@ def test_they_learn_and_are_worn(subject: Path, tmp_path: Path) -> None:
         assert getattr(model, f"basis_{group}").abs().max() > 0, group
     motion = poses()
     trained = outfit_of_training(registered, baked, result.artifact)
-    first, last = (Player(trained).composite(motion, row) for row in (0, 3))
+    first, last = (CachedPoser(trained).composite(motion, row) for row in (0, 3))
     assert torch.isfinite(first.means).all() and (first.means - last.means).abs().max() > 1e-3
     bundles = []
     for layer in ("body", "upper"):
         bundles.append(tmp_path / f"{layer}.gwg")
         export.run(subject, bundles[-1], ExportGarmentConfig(layer=layer, preview_size=32))
     worn = outfit_of_bundles(read_bundles(bundles))
-    played = Player(worn).composite(motion, 3)
+    played = CachedPoser(worn).composite(motion, 3)
     assert played.layers == ("body", "upper") and len(played.means) == len(last.means)
     assert np.allclose(played.features[:, :3], last.features[:, :3], atol=0.02)
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from stages.shared.body import JOINT_INDEX, Poses, embedded_body, posed_joints, posed_vertices
-from stages.shared.outfit.grounding import grounded
+from stages.shared.outfit.foot_height import fix_foot_height
 from stages.shared.poses.bvh_file import read_bvh_file
 from stages.shared.poses.bvh_names import joint_of_bone
 from stages.shared.poses.read import load_poses
@@ -63,7 +63,7 @@ def clip(shared_folder: Path, name: str) -> Path:
 @pytest.mark.parametrize(("name", "betas"), [(CLIPS[0], TALL), (CLIPS[3], SHORT)])
 def test_feet_stay_on_the_floor(shared_folder: Path, name: str, betas: np.ndarray) -> None:
     made_for = load_poses(clip(shared_folder, name), BODY, 15)
-    wearer = grounded(made_for, BODY, betas)
+    wearer = fix_foot_height(made_for, BODY, betas)
     before, after = lowest(made_for), lowest(wearer)
     assert abs(after.min() - before.min()) < 0.015
     assert np.ptp(after) < np.ptp(before) + 0.03
@@ -111,7 +111,7 @@ def test_no_limb_is_flipped(shared_folder: Path, name: str) -> None:
 def test_a_motion_made_for_the_wearer_is_left_alone() -> None:
     zeros = np.zeros((3, 10), np.float32)
     poses = Poses(np.zeros((3, 55, 3), np.float32), np.ones((3, 3), np.float32), TALL, zeros)
-    assert grounded(poses, BODY, TALL) is poses
-    other = grounded(poses, BODY, SHORT)
+    assert fix_foot_height(poses, BODY, TALL) is poses
+    other = fix_foot_height(poses, BODY, SHORT)
     assert np.array_equal(other.rotations, poses.rotations) and np.array_equal(other.betas, SHORT)
     assert abs(lowest(other).min() - lowest(poses).min()) < 1e-4

@@ -16,9 +16,9 @@ from typer.testing import CliRunner
 
 from gw_cli.app import app
 from stages.shared.errors import MissingInput, StorageFailure, UsageProblem
-from stages.shared.outfit.grounding import grounded
+from stages.shared.outfit.foot_height import fix_foot_height
 from stages.shared.outfit.outfit import outfit_of_bundles
-from stages.shared.outfit.picture import take_picture
+from stages.shared.outfit.render_image import render_image
 from stages.shared.outfit.sources import parse_betas, read_bundles
 from stages.view import stage
 from stages.view.config import ViewConfig
@@ -64,8 +64,8 @@ def test_the_browser_shows_what_we_render(viewer: Viewer, wardrobe: Path) -> Non
     def truth(tab: Any, names: tuple[str, ...], row: int, betas: str = "") -> np.ndarray:
         named = read_bundles([wardrobe / f"{name}.gwg" for name in names])
         worn = outfit_of_bundles(named, parse_betas(betas))
-        composite = worn.composite(grounded(motion(), worn.body_model, worn.betas), row)
-        return take_picture(composite, camera_of(tab.run("camera()"))).on((1.0, 1.0, 1.0))
+        composite = worn.composite(fix_foot_height(motion(), worn.body_model, worn.betas), row)
+        return render_image(composite, camera_of(tab.run("camera()"))).on((1.0, 1.0, 1.0))
 
     with browser_page(720, 480) as tab:
 

@@ -75,7 +75,7 @@ def _list_costs(count: int, channels: int, lanes: int) -> tuple[float, float]:
     sizes = cpu_steps.Sizes(layout.TILE, layout.TILE, channels, None, 0, SplatSettings(), lanes)
     ones = np.ones(count, np.float32)
     centers, unturned = np.array([0, 0, 2], np.float32), np.array([1, 0, 0, 0], np.float32)
-    gaussians = cpu_steps.Gaussians(
+    gaussians = cpu_steps.FlatGaussians(
         np.tile(centers, count), np.tile(unturned, count), np.tile(ones, 3), None, 0.008 * ones,
         np.tile(ones, channels),
     )  # fmt: skip

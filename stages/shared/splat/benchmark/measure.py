@@ -119,7 +119,7 @@ def _work(
     lanes = limit.lanes
     sizes = cpu_steps.Sizes(case.size, case.size, case.channels, None, 0, SplatSettings(), lanes)
     arrays = (figure.means, figure.quats, figure.scales, None, figure.opacities, figure.colors)
-    gaussians = cpu_steps.Gaussians(*(None if x is None else x.reshape(-1).numpy() for x in arrays))  # type: ignore[arg-type]
+    gaussians = cpu_steps.FlatGaussians(*(None if x is None else x.reshape(-1).numpy() for x in arrays))  # type: ignore[arg-type]
     camera = cpu_steps.camera_numbers(view.double().numpy(), intrinsics.double().numpy(), sizes)
     placed = cpu_steps.arrange(gaussians, camera, np.ones(case.channels, np.float32), sizes)
     counts = np.zeros((sizes.tiles, 2), np.int64)

@@ -37,7 +37,7 @@ Floats = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
-class Push:
+class CollisionCorrection:
     """What a garment needs to know to give way in any pose.
 
     Attributes:
@@ -69,7 +69,7 @@ class Push:
         return garment if field is None else replace(garment, means=garment.means + torch.from_numpy(field))
 
 
-def plan_push(body: WornLayer, garment: WornLayer) -> Push | None:
+def plan_correction(body: WornLayer, garment: WornLayer) -> CollisionCorrection | None:
     """The push of one garment; None where it was learned on this body, or covers nothing of it."""
     if (garment.source and garment.source == body.source) or not same_grid(body.maps, garment.maps):
         return None
@@ -80,7 +80,7 @@ def plan_push(body: WornLayer, garment: WornLayer) -> Push | None:
         covered = np.flatnonzero(beneath & (body.maps.side.numpy() == side))
         if len(own) and len(covered) >= _NEAREST:
             sides.append((own, covered))
-    return Push(garment.name, tuple(sides), _smoothing(garment.maps)) if sides else None
+    return CollisionCorrection(garment.name, tuple(sides), _smoothing(garment.maps)) if sides else None
 
 
 def _height(points: Floats, beneath: Floats, normals: Floats) -> tuple[Floats, Floats]:

@@ -13,15 +13,15 @@ from stages.shared.avatar.decoders.styleunet import StyleUNetDecoder
 from stages.shared.avatar.motion import recent_motion
 from stages.shared.avatar.pose import frame_pose
 from stages.shared.body import Poses
+from stages.shared.outfit.cached_poser import CachedPoser
 from stages.shared.outfit.layer import WornLayer
 from stages.shared.outfit.outfit import Outfit, outfit_of_bundles
-from stages.shared.outfit.player import Player
 from tests.shared.outfit.wardrobe import bundle, motion, worn
 
 NAMED = [(name, bundle(worn(name, source=name))) for name in ("body", "lower", "upper")]
 
 
-def _same(player: Player, outfit: Outfit, row: int) -> None:
+def _same(player: CachedPoser, outfit: Outfit, row: int) -> None:
     poses = motion(5)
     played, plain = player.composite(poses, row), outfit.composite(poses, row)
     assert played.layers == plain.layers and torch.equal(played.layer_ids, plain.layer_ids)
@@ -33,14 +33,14 @@ def _same(player: Player, outfit: Outfit, row: int) -> None:
 def test_playing_is_posing_with_swaps_and_push_out(push: bool) -> None:
     outfit = outfit_of_bundles(NAMED, np.linspace(1, -1, 10, dtype=np.float32), push=push)
     assert outfit.swaps
-    player = Player(outfit)
+    player = CachedPoser(outfit)
     for row in (0, 3, 1):
         _same(player, outfit, row)
 
 
 def test_frames_share_memory_and_a_long_motion_crosses_blocks() -> None:
     outfit = outfit_of_bundles(NAMED[:2])
-    poses, player = motion(70), Player(outfit)
+    poses, player = motion(70), CachedPoser(outfit)
     first = player.composite(poses, 63).means
     late = player.composite(poses, 64).means
     assert late.data_ptr() == first.data_ptr()
@@ -62,10 +62,10 @@ def test_recent_motion_is_played() -> None:
         model.anchors.offsets.normal_(0, 0.02, generator=torch.Generator().manual_seed(0))
     model.requires_grad_(False)
     outfit = replace(dressed, layers=(*dressed.layers, replace(piece, model=model)))
-    player = Player(outfit)
+    player = CachedPoser(outfit)
     played, plain = player.composite(poses, 12), outfit.composite(poses, 12)
     assert torch.allclose(played.means, plain.means, atol=5e-6)
-    still = Player(outfit).composite(poses[[12]], 0)
+    still = CachedPoser(outfit).composite(poses[[12]], 0)
     assert (still.means - plain.means).abs().max() > 1e-3
 
 
@@ -73,7 +73,7 @@ def _moment(poses: Poses, row: int) -> tuple[torch.Tensor, ...]:
     return tuple(torch.from_numpy(a) for a in (poses.rotations[row], poses.translation[row], poses.betas))
 
 
-def _gaussians(player: Player, poses: Poses, row: int) -> list[torch.Tensor]:
+def _gaussians(player: CachedPoser, poses: Poses, row: int) -> list[torch.Tensor]:
     found = player.composite(poses, row)
     return [getattr(found, name).clone() for name in ("means", "covariances", "opacities", "features")]
 
@@ -81,7 +81,7 @@ def _gaussians(player: Player, poses: Poses, row: int) -> list[torch.Tensor]:
 def test_layers_that_stand_still_are_not_posed_again() -> None:
     """The same Gaussians as posing anew, in a motion that stops, goes on and comes back."""
     outfit, poses = outfit_of_bundles(NAMED), motion(5)[[0, 0, 2, 2, 0, 4]]
-    lazy, busy = Player(outfit), Player(outfit, anew=True)
+    lazy, busy = CachedPoser(outfit), CachedPoser(outfit, cache=False)
     for row in range(len(poses)):
         for one, other in zip(_gaussians(lazy, poses, row), _gaussians(busy, poses, row), strict=True):
             assert torch.equal(one, other), row
@@ -97,7 +97,7 @@ def test_a_layer_stays_where_only_joints_move_that_it_does_not_follow() -> None:
     poses = motion(3)[[1, 1, 1]]
     poses.rotations[1, 16] = 0.7  # left shoulder
     poses.rotations[2, 3] += 0.2
-    player = Player(outfit)
+    player = CachedPoser(outfit)
     counts = []
     for row in range(3):
         played, wanted = player.composite(poses, row), outfit.composite(poses, row)

@@ -12,11 +12,11 @@ from torch.nn import functional
 from stages.shared.avatar.deform import Attributes, PosedGaussians, pose_layer, rotation_matrices
 from stages.shared.body import BodyModel, embedded_body
 from stages.shared.errors import BadData
+from stages.shared.outfit.collision_correction import CLEARANCE, plan_correction, smooth_field
 from stages.shared.outfit.layer import Skin, WornLayer
 from stages.shared.outfit.outfit import outfit_of_bundles
-from stages.shared.outfit.push import CLEARANCE, plan_push, smooth_field
-from stages.shared.outfit.rebind import canonical_joints, rebound
-from stages.shared.outfit.restore import plan_restoration, restored, spread_skin
+from stages.shared.outfit.retarget import canonical_joints, retarget_garment
+from stages.shared.outfit.uncovered_skin import extrapolate_skin, plan_uncovered_skin, restored
 from stages.shared.splat.api import rasterize
 from tests.shared.outfit.wardrobe import bundle, motion, worn
 
@@ -52,7 +52,7 @@ def _colors(shoes: bool = False) -> torch.Tensor:
 def test_covered_skin_takes_colour_and_height_of_the_skin_around() -> None:
     offsets = -0.009 * BODY.maps.normals
     offsets[torch.from_numpy((Y < -0.08) | (Y > 0.22))] = 0.0
-    skin = spread_skin(BODY.maps, [UPPER.maps], offsets, _colors())
+    skin = extrapolate_skin(BODY.maps, [UPPER.maps], offsets, _colors())
     assert skin is not None
     deep = skin.covered == 1
     assert deep.any() and (skin.covered[torch.from_numpy(Y > 0.24)] == 0).all()
@@ -62,7 +62,7 @@ def test_covered_skin_takes_colour_and_height_of_the_skin_around() -> None:
 
 def test_shoes_do_not_colour_the_legs() -> None:
     covering = worn("lower", low=-0.24, high=0.0)
-    skin = spread_skin(BODY.maps, [covering.maps], torch.zeros(len(Y), 3), _colors(shoes=True))
+    skin = extrapolate_skin(BODY.maps, [covering.maps], torch.zeros(len(Y), 3), _colors(shoes=True))
     assert skin is not None
     deep = (skin.covered == 1) & torch.from_numpy(Y < -0.1)
     assert deep.any() and (skin.colors[deep] - torch.from_numpy(SKIN)).abs().max() < 0.25
@@ -70,8 +70,8 @@ def test_shoes_do_not_colour_the_legs() -> None:
 
 def test_nothing_to_spread_from_or_to() -> None:
     tube = worn("body")  # no hands
-    assert spread_skin(tube.maps, [UPPER.maps], torch.zeros(len(Y), 3), _colors()) is None
-    assert spread_skin(BODY.maps, [], torch.zeros(len(Y), 3), _colors()) is None
+    assert extrapolate_skin(tube.maps, [UPPER.maps], torch.zeros(len(Y), 3), _colors()) is None
+    assert extrapolate_skin(BODY.maps, [], torch.zeros(len(Y), 3), _colors()) is None
 
 
 def _wearer() -> WornLayer:
@@ -82,11 +82,11 @@ def _wearer() -> WornLayer:
 
 def test_only_what_is_bare_now_is_restored() -> None:
     wearer = _wearer()
-    naked, dressed = plan_restoration(wearer, []), plan_restoration(wearer, [UPPER])
+    naked, dressed = plan_uncovered_skin(wearer, []), plan_uncovered_skin(wearer, [UPPER])
     assert naked is not None and torch.equal(naked.weights[:, 0], wearer.skin.covered)  # type: ignore[union-attr]
     # Beneath the same garment only its feathered rim is left.
     assert dressed is None or dressed.weights.sum() < 0.35 * naked.weights.sum()
-    assert plan_restoration(BODY, []) is None
+    assert plan_uncovered_skin(BODY, []) is None
     count = len(Y)
     before = Attributes(
         torch.zeros(count, 3),
@@ -121,7 +121,7 @@ def test_bare_skin_has_no_gaps(side: tuple[float, float, float], before: float, 
         torch.full((count,), 0.9),
         torch.zeros(count, 3),
     )
-    naked = plan_restoration(wearer, [])
+    naked = plan_uncovered_skin(wearer, [])
     assert naked is not None
     naked = replace(naked, offsets=torch.zeros(count, 3))
     assert _least_alpha(wearer, shrunk, bare, side) < before
@@ -160,7 +160,7 @@ def _posed(layer: WornLayer) -> PosedGaussians:
 
 def test_a_garment_gives_way_to_a_larger_body() -> None:
     thick = replace(worn("body", offset=0.04, source="one"))
-    push = plan_push(thick, UPPER)
+    push = plan_correction(thick, UPPER)
     assert push is not None
     body, before = _posed(thick), _posed(UPPER)
     after = push.applied(before, body)
@@ -174,19 +174,19 @@ def test_a_garment_gives_way_to_a_larger_body() -> None:
 
 
 def test_a_garment_that_touches_nothing_stays() -> None:
-    push = plan_push(BODY, UPPER)
+    push = plan_correction(BODY, UPPER)
     assert push is not None
     posed = _posed(UPPER)
     assert push.applied(posed, _posed(BODY)) is posed
 
 
 def test_no_push_among_pieces_learned_together_or_on_another_grid() -> None:
-    assert plan_push(BODY, replace(UPPER, source="one")) is None
-    assert plan_push(BODY, replace(UPPER, maps=replace(UPPER.maps, pitch=0.01))) is None
+    assert plan_correction(BODY, replace(UPPER, source="one")) is None
+    assert plan_correction(BODY, replace(UPPER, maps=replace(UPPER.maps, pitch=0.01))) is None
 
 
 def test_the_field_meets_every_need_and_fades() -> None:
-    push = plan_push(BODY, UPPER)
+    push = plan_correction(BODY, UPPER)
     assert push is not None
     need = np.zeros(len(UPPER.maps), np.float32)
     need[100] = 0.02
@@ -206,7 +206,7 @@ def test_a_garment_of_another_body_model_moves_with_the_bones() -> None:
     joints = canonical_joints(small)
     assert np.allclose(canonical_joints(tall), 1.1 * joints, atol=1e-4)
     wearer = replace(BODY, maps=replace(BODY.maps, positions=1.1 * BODY.maps.positions))
-    carried = rebound(UPPER, joints, wearer, tall)
+    carried = retarget_garment(UPPER, joints, wearer, tall)
     # The tubes hang on single bones, so every point moves exactly as its bone's canonical place.
     shift = UPPER.maps.skin_weights.numpy() @ (canonical_joints(tall) - joints)
     moved = (carried.maps.positions - UPPER.maps.positions).numpy()

@@ -31,12 +31,14 @@ def canonical_joints(body: BodyModel) -> NDArray[np.float32]:
     return placed.numpy().astype(np.float32)
 
 
-def convertible(garment: Bundle) -> bool:
+def can_retarget(garment: Bundle) -> bool:
     """Whether a bundle says where the bones were that it was learned with."""
     return "joints" in garment.arrays
 
 
-def rebound(garment: WornLayer, joints: NDArray[np.float32], body: WornLayer, model: BodyModel) -> WornLayer:
+def retarget_garment(
+    garment: WornLayer, joints: NDArray[np.float32], body: WornLayer, model: BodyModel
+) -> WornLayer:
     """The garment as if it had been learned with the wearer's body model; its networks stay as they are.
 
     Arguments:

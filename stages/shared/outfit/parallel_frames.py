@@ -1,7 +1,8 @@
-"""Whole frames side by side: one core, one frame.
+"""Whole frames in parallel: one core, one frame.
 
-A frame has parts that no second thread helps (contours, Python between the kernels), so on a few cores two
-frames at a time are faster than one frame by two threads. Results come in order, with a bounded look-ahead.
+A frame has parts that a second thread does not speed up (contours, Python between the kernels). On a few
+cores, two frames at a time are therefore faster than one frame on two threads. Results come in order, with a
+bounded look-ahead.
 """
 
 from __future__ import annotations
@@ -17,44 +18,43 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from stages.shared.outfit.cached_poser import CachedPoser
 from stages.shared.outfit.outfit import Outfit
-from stages.shared.outfit.player import Player
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
-def side_by_side(
+def parallel_frames(
     outfit: Outfit,
     items: Sequence[Item],
-    work: Callable[[Player, Item], Result],
+    work: Callable[[CachedPoser, Item], Result],
     threads: int | None = None,
     hidden: NDArray[np.bool_] | None = None,
-    anew: bool = False,
+    cache: bool = True,
 ) -> Generator[Result, None, None]:
-    """`work(player, item)` of every item, in order; each thread has a player, and its kernels one thread.
+    """`work(poser, item)` for every item, in order. Each thread has a poser, and its kernels use one thread.
 
-    Close the iterator (`contextlib.closing`) where an error may leave it: that waits for items at work, and
-    begins no others.
+    Close the iterator (`contextlib.closing`) where an error may leave it. Closing waits for items in work and
+    starts no others.
 
     Arguments:
-        threads: frames at a time; None for as many as torch would use threads.
-        hidden, anew: as `Player` takes them.
+        threads: frames at a time; None for torch's number of threads.
+        hidden, cache: as `CachedPoser` takes them.
     """
     count = min(threads or torch.get_num_threads(), max(len(items), 1))
+    first = CachedPoser(outfit, hidden=hidden, cache=cache)
     if count <= 1:
-        player = Player(outfit, hidden=hidden, anew=anew)
-        yield from (work(player, item) for item in items)
+        yield from (work(first, item) for item in items)
         return
-    first = Player(outfit, hidden=hidden, anew=anew)
-    spare = [first, *(Player(outfit, twin=first, anew=anew) for _ in range(count - 1))]
-    own = threading.local()
+    posers = [first, *(CachedPoser(outfit, share_with=first, cache=cache) for _ in range(count - 1))]
+    local = threading.local()
 
     def task(item: Item) -> Result:
-        if not hasattr(own, "player"):
-            own.player = spare.pop()
+        if not hasattr(local, "poser"):
+            local.poser = posers.pop()
             torch.set_num_threads(1)
-        return work(own.player, item)
+        return work(local.poser, item)
 
     with threads_restored(), ThreadPoolExecutor(count, thread_name_prefix="gw-frame") as pool:
         waiting: deque[Future[Result]] = deque()
@@ -66,13 +66,13 @@ def side_by_side(
             while waiting:
                 yield waiting.popleft().result()
         finally:
-            for left in waiting:
-                left.cancel()
+            for future in waiting:
+                future.cancel()
 
 
 @contextmanager
 def threads_restored() -> Iterator[None]:
-    """`torch.set_num_threads` in a thread also sets what threads begun later start with: put that back."""
+    """Restores torch's number of threads: setting it in one thread also sets it for threads started later."""
     threads = torch.get_num_threads()
     try:
         yield

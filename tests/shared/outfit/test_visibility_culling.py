@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 import torch
 
-from stages.shared.outfit import hidden as hidden_module
-from stages.shared.outfit.hidden import contributions, deep_beneath, plan_hidden, spread
+from stages.shared.outfit import visibility_culling as hidden_module
+from stages.shared.outfit.cached_poser import CachedPoser
 from stages.shared.outfit.outfit import Outfit, outfit_of_bundles
 from stages.shared.outfit.penetration import PenetrationConfig
-from stages.shared.outfit.picture import take_picture
-from stages.shared.outfit.player import Player
+from stages.shared.outfit.render_image import render_image
+from stages.shared.outfit.visibility_culling import contributions, find_hidden_texels, fully_covered, spread
 from stages.shared.render_sequence import frames as sequence_frames
 from stages.shared.render_sequence.outputs import SequenceFrame, SequenceOutputs
 from stages.shared.report import SILENT
@@ -39,15 +39,15 @@ def dressed() -> Outfit:
 
 @pytest.fixture(scope="module")
 def plan(dressed: Outfit) -> np.ndarray:
-    found = plan_hidden(dressed, POSES, ROWS)
+    found = find_hidden_texels(dressed, POSES, ROWS)
     assert found is not None
     return found
 
 
 def test_pictures_stay_what_they_are(dressed: Outfit, plan: np.ndarray) -> None:
     count = len(dressed.layers[0].maps)
-    assert plan.shape == (count,) and 0.05 * count < plan.sum() < deep_beneath(dressed).sum()
-    whole, culled = Player(dressed), Player(dressed, hidden=plan)
+    assert plan.shape == (count,) and 0.05 * count < plan.sum() < fully_covered(dressed).sum()
+    whole, culled = CachedPoser(dressed), CachedPoser(dressed, hidden=plan)
     for row in (1, 4, 7):
         everything, rest = whole.composite(POSES, row), culled.composite(POSES, row)
         assert len(rest.means) == len(everything.means) - plan.sum()
@@ -56,15 +56,15 @@ def test_pictures_stay_what_they_are(dressed: Outfit, plan: np.ndarray) -> None:
         assert torch.equal(rest.features, everything.features[kept])
         for camera in cameras():
             for margins in (None, PenetrationConfig()):
-                before, after = (take_picture(x, camera, margins) for x in (everything, rest))
+                before, after = (render_image(x, camera, margins) for x in (everything, rest))
                 assert np.square(before.color - after.color).mean() < 1e-6, "60 dB"
                 assert np.array_equal(before.labels, after.labels)
 
 
 def test_without_the_garments_the_body_is_whole(dressed: Outfit) -> None:
     bare = replace(dressed, layers=dressed.layers[:1])
-    assert plan_hidden(bare, POSES, ROWS) is None and not deep_beneath(bare).any()
-    shirt = plan_hidden(replace(dressed, layers=(dressed.layers[0], dressed.layers[2])), POSES, ROWS)
+    assert find_hidden_texels(bare, POSES, ROWS) is None and not fully_covered(bare).any()
+    shirt = find_hidden_texels(replace(dressed, layers=(dressed.layers[0], dressed.layers[2])), POSES, ROWS)
     assert shirt is not None
     height = (
         dressed.layers[0].maps.positions[:, 1].numpy() - dressed.layers[2].maps.positions[:, 1].numpy().min()
@@ -76,7 +76,7 @@ def test_what_shines_through_is_drawn(dressed: Outfit) -> None:
     thin = _opaque(outfit("body", "lower", "upper"))
     for layer in thin.layers[1:]:
         layer.model.base_opacity -= 9.0
-    assert plan_hidden(thin, POSES, ROWS) is None
+    assert find_hidden_texels(thin, POSES, ROWS) is None
 
 
 def test_swaps_and_blendshapes_are_left_out_alike() -> None:
@@ -95,7 +95,10 @@ def test_swaps_and_blendshapes_are_left_out_alike() -> None:
     shaped.requires_grad_(False)
     for layer in (body, replace(body, model=shaped)):
         one = replace(swapped, layers=(layer, swapped.layers[1]))
-        everything, rest = Player(one).composite(POSES, 2), Player(one, hidden=chosen).composite(POSES, 2)
+        everything, rest = (
+            CachedPoser(one).composite(POSES, 2),
+            CachedPoser(one, hidden=chosen).composite(POSES, 2),
+        )
         kept = np.ones(len(everything.means), bool)
         kept[5:300] = False
         for name in ("means", "covariances", "opacities", "features", "layer_ids"):
@@ -103,13 +106,13 @@ def test_swaps_and_blendshapes_are_left_out_alike() -> None:
 
 
 def test_contributions_are_what_a_colour_adds(dressed: Outfit) -> None:
-    composite, camera = Player(dressed).composite(POSES, 3), cameras()[0]
+    composite, camera = CachedPoser(dressed).composite(POSES, 3), cameras()[0]
     added = contributions(composite, camera)
     index = int(added.argmax())
     brighter = composite.features.clone()
-    before = take_picture(composite, camera).color.sum()
+    before = render_image(composite, camera).color.sum()
     brighter[index, :3] *= 0.5
-    after = take_picture(replace(composite, features=brighter), camera).color.sum()
+    after = render_image(replace(composite, features=brighter), camera).color.sum()
     lost = float(0.5 * composite.features[index, :3].sum() * added[index])
     assert before - after == pytest.approx(lost, rel=1e-2) and added[index] > 0.5
 
@@ -129,13 +132,13 @@ def test_films_use_it_where_it_pays(
     dressed: Outfit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, changes: dict, expected: bool
 ) -> None:
     drawn: list[int] = []
-    genuine = sequence_frames.take_picture
+    genuine = sequence_frames.render_image
 
     def counted(composite: object, *rest: object, **options: object) -> object:
         drawn.append(len(composite.means))  # type: ignore[attr-defined]
         return genuine(composite, *rest, **options)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(sequence_frames, "take_picture", counted)
+    monkeypatch.setattr(sequence_frames, "render_image", counted)
     frames = [SequenceFrame(row, (cameras()[0],)) for row in (0, 4)]
     config = replace(SequenceOutputs(), **changes)
     sequence_frames.write_frames(tmp_path / "short", dressed, POSES, frames, config, SILENT)

@@ -17,7 +17,7 @@ _SAMPLES = 24  # frames that are looked at for the floor
 Floats = NDArray[np.float32]
 
 
-def grounded(poses: Poses, body: BodyModel, betas: Floats) -> Poses:
+def fix_foot_height(poses: Poses, body: BodyModel, betas: Floats) -> Poses:
     """The motion for a wearer of shape `betas` (10,); unchanged where the motion was made for that shape.
 
     The way of the pelvis is scaled by the ratio of the leg lengths, from its first place over the floor; then

@@ -18,18 +18,20 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from stages.shared.avatar.compose import Composite
 from stages.shared.body import Poses, posed_joints
 from stages.shared.body.posed import pose_tensors
 from stages.shared.capture.camera import Camera
 from stages.shared.layers import BODY
+from stages.shared.outfit.cached_poser import CachedPoser
 from stages.shared.outfit.coverage import covered_weights, same_grid
 from stages.shared.outfit.outfit import Outfit
-from stages.shared.outfit.player import Player
-from stages.shared.outfit.viewpoints import looking_camera
+from stages.shared.outfit.viewpoints import look_at_camera
 from stages.shared.splat.api import contributions as splat_contributions
+from stages.shared.splat.gaussians import Gaussians
 
-LEAST_SEEN = 0.0013  # of what a Gaussian would add with nothing before it: a third of one of 255 levels
+LEAST_CONTRIBUTION = (
+    0.0013  # of what a Gaussian would add with nothing before it: a third of one of 255 levels
+)
 MARGIN = 0.013  # m around what is seen that is drawn as well
 MOST_POSES = 12
 LEAST_PICTURES = 300
@@ -40,16 +42,16 @@ _REACH = 0.25  # m around the joints
 _AROUND = ((0.08, 5, 0.0), (-0.7, 3, 0.5), (1.2, 2, 0.9))  # tilt, how many, azimuth of the first
 
 
-def plan_hidden(outfit: Outfit, poses: Poses, rows: Sequence[int]) -> NDArray[np.bool_] | None:
+def find_hidden_texels(outfit: Outfit, poses: Poses, rows: Sequence[int]) -> NDArray[np.bool_] | None:
     """(N,) which texels of the body need not be drawn in a motion; None where all must be.
 
     Arguments:
         poses: the motion. rows: of it, those that will be played; `MOST_POSES` of them are looked at.
     """
-    covered = deep_beneath(outfit)
+    covered = fully_covered(outfit)
     if not covered.any() or not len(rows):
         return None
-    player, seen = Player(outfit), np.zeros(len(covered), np.float32)
+    player, seen = CachedPoser(outfit), np.zeros(len(covered), np.float32)
     if player.plain:
         return None
     some = np.unique(np.linspace(0, len(rows) - 1, MOST_POSES).round().astype(int))
@@ -60,11 +62,13 @@ def plan_hidden(outfit: Outfit, poses: Poses, rows: Sequence[int]) -> NDArray[np
             share = contributions(composite, camera) / footprints(composite, camera)
             np.maximum(seen, share[: len(covered)].numpy(), out=seen)
     maps = outfit.layers[0].maps
-    shown = spread(~covered | (seen >= LEAST_SEEN), maps.neighbours.numpy(), round(MARGIN / maps.pitch))
+    shown = spread(
+        ~covered | (seen >= LEAST_CONTRIBUTION), maps.neighbours.numpy(), round(MARGIN / maps.pitch)
+    )
     return None if shown.all() else ~shown
 
 
-def deep_beneath(outfit: Outfit) -> NDArray[np.bool_]:
+def fully_covered(outfit: Outfit) -> NDArray[np.bool_]:
     """(N,) texels of the body that a garment on the same grid covers wholly."""
     body = outfit.layers[0].maps
     covered = np.zeros(len(body), bool)
@@ -75,7 +79,7 @@ def deep_beneath(outfit: Outfit) -> NDArray[np.bool_]:
     return covered
 
 
-def contributions(composite: Composite, camera: Camera) -> Tensor:
+def contributions(composite: Gaussians, camera: Camera) -> Tensor:
     """(N,) sum over pixels of every Gaussian's blending weight in one picture."""
     return splat_contributions(
         composite.means, None, None, composite.opacities, *camera.tensors(), camera.width, camera.height,
@@ -83,7 +87,7 @@ def contributions(composite: Composite, camera: Camera) -> Tensor:
     )  # fmt: skip
 
 
-def footprints(composite: Composite, camera: Camera) -> Tensor:
+def footprints(composite: Gaussians, camera: Camera) -> Tensor:
     """(N,) px², 2π times the variance of every Gaussian's image, were it a sphere as wide as it is wide."""
     matrix = torch.from_numpy(camera.camera_from_world).to(composite.means)
     depth = (composite.means @ matrix[2, :3] + matrix[2, 3]).clamp(min=1e-3)
@@ -105,7 +109,7 @@ def _cameras(outfit: Outfit, poses: Poses, row: int) -> list[Camera]:
     middle = (joints.min(axis=0) + joints.max(axis=0)) / 2.0
     reach = float(np.linalg.norm(joints - middle, axis=1).max()) + _REACH
     return [
-        looking_camera("", middle.astype(np.float64), first + 2 * np.pi * index / count, (reach,) * 3,
+        look_at_camera("", middle.astype(np.float64), first + 2 * np.pi * index / count, (reach,) * 3,
                        (_SIDE, _SIDE), tilt)
         for tilt, count, first in _AROUND
         for index in range(count)

@@ -38,7 +38,7 @@ Floats = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
-class Restoration:
+class UncoveredSkin:
     """What bare skin becomes.
 
     Attributes:
@@ -59,7 +59,7 @@ class Restoration:
         return int((self.weights > 0).sum())
 
 
-def spread_skin(
+def extrapolate_skin(
     maps: LayerMaps, garments: Sequence[LayerMaps], offsets: Tensor, colors: Tensor
 ) -> Skin | None:
     """What a body bundle carries about its covered texels; None where nothing is covered or no skin was seen.
@@ -89,7 +89,7 @@ def spread_skin(
     )
 
 
-def plan_restoration(body: WornLayer, garments: Sequence[WornLayer]) -> Restoration | None:
+def plan_uncovered_skin(body: WornLayer, garments: Sequence[WornLayer]) -> UncoveredSkin | None:
     """What of the body is bare in this outfit that was not when it was learned; None for nothing."""
     if body.skin is None:
         return None
@@ -100,20 +100,20 @@ def plan_restoration(body: WornLayer, garments: Sequence[WornLayer]) -> Restorat
     weights = torch.clamp(body.skin.covered - torch.from_numpy(worn), 0, 1)[:, None]
     if not bool((weights > 0).any()):
         return None
-    return Restoration(weights, body.skin.offsets, body.skin.colors, *_discs(body.maps))
+    return UncoveredSkin(weights, body.skin.offsets, body.skin.colors, *_discs(body.maps))
 
 
-def restored(attributes: Attributes, restoration: Restoration | None) -> Attributes:
+def restored(attributes: Attributes, uncovered_skin: UncoveredSkin | None) -> Attributes:
     """Body attributes with bare skin as it should be."""
-    if restoration is None:
+    if uncovered_skin is None:
         return attributes
     return replace(
         attributes,
-        offsets=torch.lerp(attributes.offsets, restoration.offsets, restoration.weights),
-        colors=torch.lerp(attributes.colors, restoration.colors, restoration.weights),
-        quaternions=slerp(attributes.quaternions, restoration.quaternions, restoration.weights),
-        scales=torch.lerp(attributes.scales, restoration.scales, restoration.weights),
-        opacities=torch.lerp(attributes.opacities, restoration.opacities, restoration.weights[:, 0]),
+        offsets=torch.lerp(attributes.offsets, uncovered_skin.offsets, uncovered_skin.weights),
+        colors=torch.lerp(attributes.colors, uncovered_skin.colors, uncovered_skin.weights),
+        quaternions=slerp(attributes.quaternions, uncovered_skin.quaternions, uncovered_skin.weights),
+        scales=torch.lerp(attributes.scales, uncovered_skin.scales, uncovered_skin.weights),
+        opacities=torch.lerp(attributes.opacities, uncovered_skin.opacities, uncovered_skin.weights[:, 0]),
     )
 
 

@@ -9,12 +9,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from stages.shared.avatar.compose import Composite
 from stages.shared.capture.camera import Camera
 from stages.shared.outfit.develop import develop
 from stages.shared.outfit.layer import label_of
-from stages.shared.outfit.penetration import PenetrationConfig, repair, repair_view
+from stages.shared.outfit.penetration import PenetrationConfig, repair, resolve_penetration_tiles
 from stages.shared.splat.api import rasterize, rasterize_layers
+from stages.shared.splat.gaussians import Gaussians
 from stages.shared.splat.rendering import Rendering
 from stages.shared.splat.settings import SplatSettings
 
@@ -22,7 +22,7 @@ Floats = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
-class Shot:
+class RenderedImage:
     """What a camera sees.
 
     Attributes:
@@ -52,15 +52,15 @@ class Shot:
         return to_bytes(straight_alpha(self.color, self.alpha))
 
 
-def take_picture(
-    composite: Composite,
+def render_image(
+    composite: Gaussians,
     camera: Camera,
     penetration: PenetrationConfig | None = None,
     each_layer: bool = False,
     backend: str = "auto",
     settings: SplatSettings = SplatSettings(),
     whole_layers: bool = False,
-) -> Shot:
+) -> RenderedImage:
     """Render a composite through a camera.
 
     Arguments:
@@ -92,7 +92,7 @@ def take_picture(
                 covars=composite.covariances, layer_ids=composite.layer_ids, layers=len(composite.layers),
                 settings=settings,
             )  # fmt: skip
-            repaired = repair_view(seen, composite.layers, penetration)
+            repaired = resolve_penetration_tiles(seen, composite.layers, penetration)
             return _shot(repaired.rendering, composite.layers, {}, repaired.mask, repaired.counts)
         layered = rasterize_layers(
             *gaussians,
@@ -116,7 +116,7 @@ def take_picture(
     return _shot(repaired.rendering, composite.layers, alone, repaired.mask, repaired.counts)
 
 
-def _on_cpu(composite: Composite, backend: str) -> bool:
+def _on_cpu(composite: Gaussians, backend: str) -> bool:
     return backend == "cpu" or (backend == "auto" and not composite.means.is_cuda)
 
 
@@ -126,13 +126,13 @@ def _shot(
     alone: dict[str, Floats] | None = None,
     repaired: NDArray[np.bool_] | None = None,
     counts: dict[str, int] | None = None,
-) -> Shot:
+) -> RenderedImage:
     alpha, features = picture.alpha.numpy(), picture.features.numpy()
     color = np.empty((*alpha.shape, 3), np.float32)
     depth, labels = np.empty(alpha.shape, np.float32), np.empty(alpha.shape, np.uint8)
     ids = np.array([label_of(name) for name in layers], np.uint8)
     develop(features, alpha, picture.depth.numpy(), ids, color, depth, labels)
-    return Shot(color, alpha, depth, labels, alone or {}, repaired, counts or {})
+    return RenderedImage(color, alpha, depth, labels, alone or {}, repaired, counts or {})
 
 
 def straight_alpha(color: Floats, alpha: Floats) -> Floats:

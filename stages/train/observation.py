@@ -24,7 +24,7 @@ from stages.shared.splat.api import contributions
 
 Item = TypeVar("Item")
 
-LEAST_SHARE = 0.3  # of a texel's area that one picture must show; what shows less is seen at a grazing angle
+LEAST_VIEWS = 2.0  # pictures that must show a texel in full, or more of them in part
 MOST_FRAMES, MOST_CAMERAS = 6, 16
 _PIXELS_PER_TEXEL = 2.0  # at this resolution the share of a texel can be told
 
@@ -35,7 +35,10 @@ def observed_texels(
     cameras: Callable[[int], Sequence[Camera]],
     pose: Callable[[int], FramePose],
 ) -> dict[str, Tensor]:
-    """(N,) bool per garment: texels that some training picture shows, layers moved by the bones alone.
+    """(N,) bool per garment: texels that training pictures show, layers moved by the bones alone.
+
+    The shares of a texel's area that the pictures show must add up to `LEAST_VIEWS`. A texel whose neighbours
+    decide otherwise by a majority is decided as they are, so that no speckles are left.
 
     Arguments:
         models: name to decoder, inner to outer. frames: of training. cameras: of training, of a frame.
@@ -50,8 +53,12 @@ def observed_texels(
             for camera in _some(cameras(frame), MOST_CAMERAS):
                 shown = _shares(posed, {name: model.maps.pitch for name, model in models.items()}, camera)
                 for name, share in shown.items():
-                    torch.maximum(shares[name], share, out=shares[name])
-    return {name: share >= LEAST_SHARE for name, share in shares.items() if name != BODY}
+                    shares[name] += share.clamp(max=1.0)
+    return {
+        name: _majority(share >= LEAST_VIEWS, models[name].maps.neighbours)
+        for name, share in shares.items()
+        if name != BODY
+    }
 
 
 def fill_unobserved(model: Decoder) -> None:
@@ -68,6 +75,14 @@ def fill_unobserved(model: Decoder) -> None:
         for name in ("opacity", "scale"):
             values = parameters[name]
             values[~observed] = values[observed].median(dim=0).values
+
+
+def _majority(chosen: Tensor, neighbours: Tensor) -> Tensor:
+    """(N,) bool: `chosen`, or what more than half of the neighbours (N, 4; -1 for none) have."""
+    present = neighbours >= 0
+    votes = (chosen[neighbours.clamp(min=0)] & present).sum(dim=1)
+    count = present.sum(dim=1)
+    return torch.where(2 * votes > count, True, torch.where(2 * votes < count, False, chosen))
 
 
 def _some(items: Sequence[Item], most: int) -> list[Item]:

@@ -7,6 +7,7 @@ Gaussians there is noise, so training leaves them out, and their colours are fil
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
@@ -17,6 +18,7 @@ from stages.shared.avatar.compose import compose
 from stages.shared.avatar.decoders.base import Decoder
 from stages.shared.avatar.deform import PosedGaussians, pose_layer
 from stages.shared.avatar.fabric_fill import continue_fabric
+from stages.shared.avatar.maps import LayerMaps
 from stages.shared.avatar.pose import FramePose
 from stages.shared.capture import Camera
 from stages.shared.layers import BODY
@@ -26,6 +28,9 @@ Item = TypeVar("Item")
 
 LEAST_VIEWS = 2.0  # pictures that must show a texel in full, or more of them in part
 MOST_FRAMES, MOST_CAMERAS = 6, 16
+_WIDENING = 2.0  # of discs: where a surface turns away from the maps, texels lie far apart
+_OPAQUE = 0.99
+_LEAST_FACING = 0.1  # cosine to the maps' axis
 _PIXELS_PER_TEXEL = 2.0  # at this resolution the share of a texel can be told
 
 
@@ -47,11 +52,12 @@ def observed_texels(
     shares: dict[str, Tensor] = {
         name: model.base_opacity.new_zeros(len(model.maps)) for name, model in models.items()
     }
+    areas = {name: _texel_areas(model.maps) for name, model in models.items()}
     with torch.no_grad():
         for frame in _some(frames, MOST_FRAMES):
             posed = {name: _on_bones(model, pose(frame)) for name, model in models.items()}
             for camera in _some(cameras(frame), MOST_CAMERAS):
-                shown = _shares(posed, {name: model.maps.pitch for name, model in models.items()}, camera)
+                shown = _shares(posed, areas, camera)
                 for name, share in shown.items():
                     shares[name] += share.clamp(max=1.0)
     return {
@@ -92,18 +98,30 @@ def _some(items: Sequence[Item], most: int) -> list[Item]:
 
 
 def _on_bones(model: Decoder, pose: FramePose) -> PosedGaussians:
-    still = model.base_opacity.new_zeros(len(model.maps), 14)
-    return pose_layer(model.maps, model.attributes(still), pose.transforms, pose.betas)
+    """The layer's surface without gaps: discs larger than those that are learned, nearly opaque."""
+    attributes = model.attributes(model.base_opacity.new_zeros(len(model.maps), 14))
+    closed = replace(
+        attributes,
+        scales=attributes.scales * attributes.scales.new_tensor([_WIDENING, _WIDENING, 1.0]),
+        opacities=torch.full_like(attributes.opacities, _OPAQUE),
+    )
+    return pose_layer(model.maps, closed, pose.transforms, pose.betas)
+
+
+def _texel_areas(maps: LayerMaps) -> Tensor:
+    """(N,) m²: surface behind each texel, which grows where it turns away from front and back."""
+    return maps.pitch**2 / maps.normals[:, 2].abs().clamp(min=_LEAST_FACING)
 
 
 def _shares(
-    posed: Mapping[str, PosedGaussians], pitches: Mapping[str, float], camera: Camera
+    posed: Mapping[str, PosedGaussians], areas: Mapping[str, Tensor], camera: Camera
 ) -> dict[str, Tensor]:
-    """(N,) of every layer: pixels that a Gaussian paints in a picture, per area of its texel in pixels."""
+    """(N,) of every layer: the share of a texel's area (N,) m² that a picture shows."""
     composite = compose(dict(posed))
     depth = composite.means @ composite.means.new_tensor(camera.camera_from_world[2, :3])
     depth = (depth + float(camera.camera_from_world[2, 3])).clamp(min=1e-3)
-    texel = max(pitches.values()) * float(camera.intrinsics[0, 0]) / float(depth.median())
+    area = torch.cat([areas[name] for name in posed])
+    texel = float(area.median().sqrt()) * float(camera.intrinsics[0, 0]) / float(depth.median())
     scale = min(1.0, _PIXELS_PER_TEXEL / max(texel, 1e-9))
     small = camera.scaled(scale) if scale < 1 else camera
     view = torch.from_numpy(small.camera_from_world).to(composite.means)
@@ -112,7 +130,6 @@ def _shares(
         composite.means, None, None, composite.opacities, view, intrinsics, small.width, small.height,
         covars=composite.covariances,
     )  # fmt: skip
+    pixels = area * (float(small.intrinsics[0, 0]) / depth).square()
     counts = [len(layer.means) for layer in posed.values()]
-    pitch = torch.cat([depth.new_full((n,), pitches[name]) for name, n in zip(posed, counts, strict=True)])
-    area = (pitch * float(small.intrinsics[0, 0]) / depth).square()
-    return dict(zip(posed, (painted / area).split(counts), strict=True))
+    return dict(zip(posed, (painted / pixels).split(counts), strict=True))

@@ -128,6 +128,7 @@ def run(
             found = workspace.require(TRAIN)
             return StageResult(found, found.summary)
         trainer.finish()
+        trainer.fill_unobserved()
         report.step("write")
         with workspace.build(TRAIN, config, inputs, force=force) as build:
             for name, model in trainer.models.items():

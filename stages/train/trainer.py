@@ -123,6 +123,12 @@ class Trainer:
         )
         self.observe()
 
+    def fill_unobserved(self) -> None:
+        """Give texels that no picture shows the fabric of their garment. Training must not continue."""
+        for name, model in self.models.items():
+            if name not in self.beginnings.frozen:
+                fill_unobserved(model)
+
     def observe(self) -> None:
         """Find the texels of garments that no training picture shows; pictures will not teach these."""
         footage = self.views.footage
@@ -157,7 +163,6 @@ class Trainer:
         """What can only be known when training is over."""
         for name, model in self.models.items():
             if name not in self.beginnings.frozen:
-                fill_unobserved(model)
                 model.fit_mean(*self._local_poses(self.frames))
 
     def step(self, number: int, elapsed: float, update: bool = True) -> StepReport:

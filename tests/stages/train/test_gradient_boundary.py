@@ -29,6 +29,7 @@ def test_gradients_of_unobserved_texels(subject: Path, weights: LossWeights) -> 
     model = trainer.models["upper"]
     with torch.no_grad():
         model.base_parameters()["offset"].add_(0.003 * torch.randn_like(model.base_offset))
+    model.set_observed(torch.ones(len(model.maps)))
     trainer.step(0, 0.0, update=False)
     everywhere = model.base_offset.grad.clone()  # type: ignore[union-attr]
     observed = torch.ones(len(model.maps))

@@ -20,11 +20,11 @@ import torch
 from stages.distill.config import DistillConfig
 from stages.distill.fit import Fit, fit_layer
 from stages.distill.samples import Samples, sample_poses
-from stages.pipeline import BAKE_MAPS, DISTILL, REGISTER_TEMPLATE, TRAIN
+from stages.pipeline import DISTILL
 from stages.shared.artifacts import Artifact, ExternalFiles, Workspace
 from stages.shared.artifacts.result import StageResult
-from stages.shared.body import BodyModel
-from stages.shared.outfit.layer import layer_of_training
+from stages.shared.outfit.layer import WornLayer
+from stages.shared.outfit.trained_subject import TrainedSubject
 from stages.shared.plan import Plan
 from stages.shared.poses.read import load_poses
 from stages.shared.report import SILENT, Report
@@ -44,9 +44,9 @@ def run(
     Raises:
         MissingInput: the subject is not trained. BadData: a pose file.
     """
-    workspace = Workspace(subject)
-    registered, baked, trained = (workspace.require(spec) for spec in (REGISTER_TEMPLATE, BAKE_MAPS, TRAIN))
-    body = BodyModel.from_arrays(registered.arrays("body.safetensors"))
+    workspace, source = Workspace(subject), TrainedSubject.open(subject)
+    registered, baked, trained = source.artifacts
+    body = source.body_model()
     given = [load_poses(path, body, report=report) for path in motions]
     inputs: dict[str, Artifact | ExternalFiles] = {
         "register-template": registered,
@@ -59,14 +59,13 @@ def run(
     if found is not None:
         report.say("up to date")
         return StageResult(found, found.summary)
-    training = load_poses(registered.file("smpl_params.npz"), body)
-    samples = sample_poses(body, training, given, config)
+    samples = sample_poses(body, source.poses(), given, config)
     summary: dict[str, Any] = {"poses": len(samples.poses)}
     with workspace.build(DISTILL, config, inputs, force=force) as build:
         layers = {}
         for name in trained.json("model.json")["layers"]:
             report.step(f"distilling {name}")
-            fit = _distilled(name, baked, trained, samples, config, report)
+            fit = _distilled(source.layer(name), samples, config, report)
             build.write_arrays(f"{name}.safetensors", {k: v.numpy() for k, v in fit.model.state().items()})
             if trained.has(own := f"maps-{name}.safetensors"):
                 build.write_arrays(own, trained.arrays(own))
@@ -80,17 +79,16 @@ def run(
 
 def plan(subject: Path, config: DistillConfig = DistillConfig(), motions: Sequence[Path] = ()) -> Plan:
     """What `run` would read, write and cost."""
-    workspace = Workspace(subject)
-    registered, baked, trained = (workspace.require(spec) for spec in (REGISTER_TEMPLATE, BAKE_MAPS, TRAIN))
-    body = BodyModel.from_arrays(registered.arrays("body.safetensors"))
+    source = TrainedSubject.open(subject)
+    body, baked = source.body_model(), source.baked
     for path in motions:
         load_poses(path, body)
     texels = baked.summary["texels"]
     poses = config.training_poses + config.blended_poses
     numbers = 70 + sum(width * most for width, most in zip((3, 3, 8), config.most, strict=True))
     return Plan(
-        inputs=[*(str(part.path) for part in (registered, baked, trained)), *map(str, motions)],
-        outputs=[f"{workspace.root / DISTILL.name}/<key>/{name}.safetensors" for name in texels],
+        inputs=[*(str(part.path) for part in source.artifacts), *map(str, motions)],
+        outputs=[f"{Workspace(subject).root / DISTILL.name}/<key>/{name}.safetensors" for name in texels],
         config=asdict(config),
         seconds=5.0 + 3e-6 * poses * sum(texels.values()),
         memory_bytes=600_000_000 + 3 * 56 * poses * max(texels.values()),
@@ -100,14 +98,12 @@ def plan(subject: Path, config: DistillConfig = DistillConfig(), motions: Sequen
 
 @torch.no_grad()
 def _distilled(
-    name: str,
-    baked: Artifact,
-    trained: Artifact,
+    layer: WornLayer,
     samples: Samples,
     config: DistillConfig,
     report: Report,
 ) -> Fit:
-    teacher = layer_of_training(name, baked, trained).model
+    teacher = layer.model
     count = len(samples.poses)
     residuals = torch.empty(count, len(teacher.maps), 14)
     still: list[torch.Tensor | None] = [None] * count

@@ -21,7 +21,8 @@ from stages.shared.artifacts import Artifact, Workspace
 from stages.shared.artifacts.files import write_whole
 from stages.shared.body import BodyModel
 from stages.shared.capture.subject import open_subject_capture
-from stages.shared.outfit.outfit import Outfit, outfit_of_training
+from stages.shared.outfit.outfit import Outfit
+from stages.shared.outfit.trained_subject import TrainedSubject
 from stages.shared.report import SILENT
 
 SHOWN = {"psnr_foreground": "PSNR of the foreground, dB", "ssim_foreground": "SSIM of the foreground"}
@@ -129,4 +130,5 @@ def curve_figure(
 def outfit_of(subject: Path, training: Artifact) -> Outfit:
     """The outfit that a finished training gives."""
     workspace = Workspace(subject)
-    return outfit_of_training(workspace.require(REGISTER_TEMPLATE), workspace.require(BAKE_MAPS), training)
+    registered, baked = workspace.require(REGISTER_TEMPLATE), workspace.require(BAKE_MAPS)
+    return TrainedSubject(registered, baked, training).outfit()

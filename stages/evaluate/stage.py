@@ -38,7 +38,7 @@ from stages.shared.capture.subject import open_subject_capture
 from stages.shared.capture.true_meshes import TrueMeshes, true_meshes_of
 from stages.shared.errors import MissingInput, UsageProblem
 from stages.shared.losses.perceptual import Perceptual
-from stages.shared.outfit.outfit import outfit_of_training
+from stages.shared.outfit.trained_subject import TrainedSubject
 from stages.shared.pictures.folder import check_output
 from stages.shared.pictures.parts import finish, parse_share, part_folder
 from stages.shared.plan import Plan
@@ -216,7 +216,7 @@ def _methods(opened: _Opened, config: EvaluateConfig) -> tuple[dict[str, Method]
     for name, spec in _LEARNED.items():
         if name in config.methods:
             trained = artifacts[spec.name]
-            outfit = outfit_of_training(opened.registered, artifacts[BAKE_MAPS.name], trained)
+            outfit = TrainedSubject(opened.registered, artifacts[BAKE_MAPS.name], trained).outfit()
             methods[name] = TrainedMethod(outfit)
             known = {word: trained.summary.get(word) for word in ("method", "without", "steps", "gaussians")}
             training[name] = {"key": trained.key, **known}

@@ -20,19 +20,19 @@ import numpy as np
 from stages.export_garment.body_form import covered_skin, form_beneath, mean_attributes
 from stages.export_garment.config import ExportGarmentConfig
 from stages.export_garment.preview import preview_picture
-from stages.pipeline import BAKE_MAPS, DISTILL, REGISTER_TEMPLATE, SEGMENT_LAYERS, TRAIN
-from stages.shared.artifacts import Artifact, Workspace
+from stages.pipeline import SEGMENT_LAYERS
+from stages.shared.artifacts import Workspace
 from stages.shared.artifacts.bundle import Bundle, write_bundle
 from stages.shared.artifacts.bundle_precision import PRECISIONS, halved
 from stages.shared.avatar.decoders.cost import costs
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.body import BodyModel, Poses
 from stages.shared.errors import MissingInput, UsageProblem
-from stages.shared.layers import BODY, LAYERS, SLOTS, garments_of, in_order
-from stages.shared.outfit.layer import WornLayer, layer_of_training
+from stages.shared.layers import BODY, LAYERS, SLOTS, garments_of
+from stages.shared.outfit.layer import WornLayer
 from stages.shared.outfit.retarget import canonical_joints
+from stages.shared.outfit.trained_subject import TrainedSubject
 from stages.shared.plan import Plan
-from stages.shared.poses.read import load_poses
 from stages.shared.report import SILENT, Report
 from stages.shared.targets import check_file_target
 
@@ -64,13 +64,6 @@ class ExportGarmentResult:
     summary: dict[str, Any]
 
 
-@dataclass(frozen=True)
-class _Source:
-    registered: Artifact
-    baked: Artifact
-    trained: Artifact
-
-
 def run(
     subject: Path,
     output: Path,
@@ -87,9 +80,8 @@ def run(
     source = _open_layer(subject, output, config)
     names = _layers(source)
     report.step(f"exporting {config.layer}")
-    body = BodyModel.from_arrays(source.registered.arrays("body.safetensors"))
-    poses = load_poses(source.registered.file("smpl_params.npz"), body)
-    layer = layer_of_training(config.layer, source.baked, source.trained)
+    body, poses = source.body_model(), source.poses()
+    layer = source.layer(config.layer)
     arrays = {f"maps/{name}": array for name, array in layer.maps.arrays().items()}
     arrays |= {f"model/{name}": tensor.numpy() for name, tensor in layer.model.state().items()}
     arrays |= _about_body(config, source, names, layer, body, poses)
@@ -125,10 +117,10 @@ def plan(subject: Path, output: Path, config: ExportGarmentConfig = ExportGarmen
     )
 
 
-def _open_layer(subject: Path, output: Path, config: ExportGarmentConfig) -> _Source:
+def _open_layer(subject: Path, output: Path, config: ExportGarmentConfig) -> TrainedSubject:
     """The artifacts of a subject that has the layer, for a file that can be written."""
     check_file_target(output, f"-o {config.layer}.gwg")
-    source = _open(subject, config.distilled)
+    source = TrainedSubject.open(subject, config.distilled)
     names = _layers(source)
     if config.layer not in names:
         raise MissingInput(
@@ -181,7 +173,7 @@ def checked_slots(config: ExportGarmentConfig) -> tuple[str, ...]:
 
 def _about_body(
     config: ExportGarmentConfig,
-    source: _Source,
+    source: TrainedSubject,
     names: list[str],
     layer: WornLayer,
     body_model: BodyModel,
@@ -192,29 +184,21 @@ def _about_body(
     arrays = {"betas": poses.betas, "joints": rest}
     if config.layer == BODY:
         arrays |= {f"body/{k}": v for k, v in body_model.to_arrays().items() if k in _BODY_ARRAYS}
-        garments = [layer_of_training(name, source.baked, source.trained) for name in garments_of(names)]
+        garments = [source.layer(name) for name in garments_of(names)]
         mean = mean_attributes(layer, body_model, poses, config.beneath_frames)
         return arrays | covered_skin(layer, garments, mean)
     if config.beneath and BODY in names:
-        body = layer_of_training(BODY, source.baked, source.trained)
+        body = source.layer(BODY)
         arrays |= form_beneath(layer, body, mean_attributes(body, body_model, poses, config.beneath_frames))
     return arrays
 
 
-def _open(subject: Path, distilled: bool) -> _Source:
-    workspace = Workspace(subject)
-    return _Source(
-        *(workspace.require(spec) for spec in (REGISTER_TEMPLATE, BAKE_MAPS, DISTILL if distilled else TRAIN))
-    )
-
-
-def _layers(source: _Source) -> list[str]:
-    trained = source.trained.json("model.json")["layers"]
-    return in_order(trained)
+def _layers(source: TrainedSubject) -> list[str]:
+    return [name for name in source.layers if name in LAYERS]
 
 
 def _manifest(
-    config: ExportGarmentConfig, layer: WornLayer, source: _Source, body_digest: str
+    config: ExportGarmentConfig, layer: WornLayer, source: TrainedSubject, body_digest: str
 ) -> dict[str, Any]:
     maps: LayerMaps = layer.maps
     return {

@@ -23,8 +23,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from stages.pipeline import BAKE_MAPS, REGISTER_TEMPLATE, TRAIN
-from stages.shared.artifacts import Workspace, write_whole
+from stages.shared.artifacts import write_whole
 from stages.shared.artifacts.canonical import readable_json
 from stages.shared.avatar.compose import compose
 from stages.shared.avatar.maps import LayerMaps
@@ -32,10 +31,11 @@ from stages.shared.avatar.used_joints import every_joint
 from stages.shared.commands import run_command
 from stages.shared.errors import UsageProblem
 from stages.shared.outfit.cached_poser import CachedPoser
-from stages.shared.outfit.outfit import Outfit, outfit_of_training
+from stages.shared.outfit.outfit import Outfit
 from stages.shared.outfit.parallel_frames import parallel_frames
 from stages.shared.outfit.penetration import PenetrationConfig
 from stages.shared.outfit.render_image import RenderedImage, render_image
+from stages.shared.outfit.trained_subject import TrainedSubject
 from stages.shared.outfit.visibility_culling import find_hidden_texels
 from stages.shared.report import SILENT, Report
 from stages.train.config import TrainConfig
@@ -212,8 +212,7 @@ def _first_pictures(trainer: Trainer, count: int) -> float:
 
 def _frame(subject: Path, name: str, train: TrainConfig, config: EconomyConfig) -> dict[str, Any]:
     """Seconds of a frame from pose to pixels, and PSNR (dB) inside the masks of training pictures."""
-    workspace = Workspace(subject)
-    outfit = outfit_of_training(*(workspace.require(spec) for spec in (REGISTER_TEMPLATE, BAKE_MAPS, TRAIN)))
+    outfit = TrainedSubject.open(subject).outfit()
     trainer = prepare(subject, train)
 
     def without(row: str) -> bool:

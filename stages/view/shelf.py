@@ -11,14 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.pipeline import BAKE_MAPS, DISTILL, REGISTER_TEMPLATE, TRAIN
-from stages.shared.artifacts import Workspace
 from stages.shared.artifacts.bundle import Bundle, read_bundle
 from stages.shared.body import Poses
 from stages.shared.errors import BadData, MissingInput, UsageProblem
-from stages.shared.outfit.outfit import Outfit, outfit_of_bundles, outfit_of_training
+from stages.shared.outfit.outfit import Outfit, outfit_of_bundles
 from stages.shared.outfit.penetration import TRYON_MARGINS, PenetrationConfig
-from stages.shared.poses.read import load_poses
+from stages.shared.outfit.trained_subject import TrainedSubject
 from stages.view.config import ViewConfig
 
 _KEPT_OUTFITS = 6
@@ -97,11 +95,8 @@ class Shelf:
 
     def take_subject(self, folder: Path, distilled: bool) -> None:
         """Show a trained subject in its own clothes."""
-        workspace = Workspace(folder)
-        specs = (REGISTER_TEMPLATE, BAKE_MAPS, DISTILL if distilled else TRAIN)
-        registered, baked, learned = (workspace.require(spec) for spec in specs)
-        self._subject = outfit_of_training(registered, baked, learned)
-        self.own_poses = load_poses(registered.file("smpl_params.npz"), self._subject.body_model)
+        subject = TrainedSubject.open(folder, distilled)
+        self._subject, self.own_poses = subject.outfit(), subject.poses()
 
 
 def open_shelf(sources: Sequence[Path], wardrobe: Path | None, config: ViewConfig) -> tuple[Shelf, list[str]]:

@@ -9,7 +9,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from stages.shared.artifacts import Artifact
 from stages.shared.artifacts.bundle import Bundle
 from stages.shared.avatar.compose import compose, relabelled
 from stages.shared.avatar.deform import PosedGaussians, pose_layer
@@ -17,10 +16,10 @@ from stages.shared.avatar.motion import recent_motion
 from stages.shared.avatar.pose import pose_at
 from stages.shared.body import BodyModel, Poses
 from stages.shared.errors import BadData, UsageProblem
-from stages.shared.layers import BASELINE_LAYERS, BODY, LAYERS
+from stages.shared.layers import BODY, LAYERS
 from stages.shared.outfit.collision_correction import CollisionCorrection, plan_correction
 from stages.shared.outfit.driver import LEARNED, GarmentDriver, choose_drivers
-from stages.shared.outfit.layer import WornLayer, layer_of_bundle, layer_of_training
+from stages.shared.outfit.layer import WornLayer, layer_of_bundle
 from stages.shared.outfit.retarget import can_retarget, retarget_garment
 from stages.shared.outfit.swap import Swap, apply_swaps, plan_swap
 from stages.shared.outfit.uncovered_skin import UncoveredSkin, plan_uncovered_skin, restored
@@ -169,16 +168,6 @@ def outfit_of_bundles(
         tuple(found for found in corrections if found is not None),
         plan_uncovered_skin(layers[0], layers[1:]) if restore else None,
     )
-
-
-def outfit_of_training(registered: Artifact, baked: Artifact, trained: Artifact) -> Outfit:
-    """A trained subject in its own clothes, from its register-template, bake-maps and train artifacts."""
-    from stages.shared.poses.read import load_poses
-
-    body = BodyModel.from_arrays(registered.arrays("body.safetensors"))
-    poses = load_poses(registered.file("smpl_params.npz"), body)
-    names = [name for name in (*LAYERS, *BASELINE_LAYERS) if name in trained.json("model.json")["layers"]]
-    return Outfit(body, poses.betas, tuple(layer_of_training(name, baked, trained) for name in names))
 
 
 def _fitting(name: str, garment: Bundle, body: Bundle, wearer: WornLayer, model: BodyModel) -> WornLayer:

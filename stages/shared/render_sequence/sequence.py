@@ -9,15 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.pipeline import BAKE_MAPS, DISTILL, REGISTER_TEMPLATE, TRAIN
-from stages.shared.artifacts import Workspace
 from stages.shared.artifacts.canonical import KEY_LENGTH, canonical_json, digest
 from stages.shared.body import Poses, canonical_poses
 from stages.shared.capture import Take, open_capture
 from stages.shared.errors import MissingInput, UsageProblem
 from stages.shared.outfit.foot_height import fix_foot_height
-from stages.shared.outfit.outfit import Outfit, outfit_of_bundles, outfit_of_training
+from stages.shared.outfit.outfit import Outfit, outfit_of_bundles
 from stages.shared.outfit.sources import capture_take, parse_betas, parse_frames, read_bundles
+from stages.shared.outfit.trained_subject import TrainedSubject
 from stages.shared.outfit.viewpoints import viewpoint_cameras
 from stages.shared.poses.read import load_poses
 from stages.shared.render_sequence.camera_path import path_cameras
@@ -134,13 +133,9 @@ def _open_outfit(
             ", ".join(str(path) for path in sources),
             "Give one subject, or bundles only (gw export-garment).",
         )
-    workspace = Workspace(folders[0])
-    specs = (REGISTER_TEMPLATE, BAKE_MAPS, DISTILL if config.distilled else TRAIN)
-    registered, baked, learned = (workspace.require(spec) for spec in specs)
-    outfit = outfit_of_training(registered, baked, learned)
-    poses = load_poses(registered.file("smpl_params.npz"), outfit.body_model)
-    digests = {part.stage: part.digest for part in (registered, baked, learned)}
-    return outfit if betas is None else replace(outfit, betas=betas), poses, digests
+    subject = TrainedSubject.open(folders[0], config.distilled)
+    outfit, digests = subject.outfit(), {part.stage: part.digest for part in subject.artifacts}
+    return outfit if betas is None else replace(outfit, betas=betas), subject.poses(), digests
 
 
 def _frames(outfit: Outfit, poses: Poses, take: Take | None, config: RenderConfig) -> list[SequenceFrame]:

@@ -13,10 +13,10 @@ from typer.testing import CliRunner
 
 from gw_cli.app import app
 from stages.evaluate.vertices import posing_of
-from stages.pipeline import BAKE_MAPS, REGISTER_TEMPLATE, TRAIN
 from stages.shared.artifacts import Workspace
 from stages.shared.layers import LAYERS
-from stages.shared.outfit.outfit import Outfit, outfit_of_training
+from stages.shared.outfit.outfit import Outfit
+from stages.shared.outfit.trained_subject import TrainedSubject
 from tests.shared.outfit.wardrobe import FRAMES, motion, outfit, tube_mesh
 
 APART = 0.01  # m, between the true skirt of the test take and what the bones make of it
@@ -24,7 +24,7 @@ APART = 0.01  # m, between the true skirt of the test take and what the bones ma
 
 def outfit_of(subject: Path) -> Outfit:
     workspace = Workspace(subject)
-    return outfit_of_training(*(workspace.require(spec) for spec in (REGISTER_TEMPLATE, BAKE_MAPS, TRAIN)))
+    return TrainedSubject.open(workspace.root).outfit()
 
 
 def write_truth(path: Path, dressed: Outfit, frames: list[int], shift: float, reverse: bool = False) -> Path:

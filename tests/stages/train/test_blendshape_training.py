@@ -21,8 +21,9 @@ from stages.shared.avatar.decoders.blendshapes import BlendshapeDecoder
 from stages.shared.errors import UsageProblem
 from stages.shared.outfit.cached_poser import CachedPoser
 from stages.shared.outfit.layer import layer_of_training
-from stages.shared.outfit.outfit import outfit_of_bundles, outfit_of_training
+from stages.shared.outfit.outfit import outfit_of_bundles
 from stages.shared.outfit.sources import read_bundles
+from stages.shared.outfit.trained_subject import TrainedSubject
 from stages.train import cost, stage
 from stages.train.config import PRESETS, LearningRates, TrackConfig, TrainConfig
 from stages.train.resolve import resolve_settings
@@ -48,7 +49,7 @@ def test_they_learn_and_are_worn(subject: Path, tmp_path: Path) -> None:
     for group in ("offset", "color", "form"):
         assert getattr(model, f"basis_{group}").abs().max() > 0, group
     motion = poses()
-    trained = outfit_of_training(registered, baked, result.artifact)
+    trained = TrainedSubject(registered, baked, result.artifact).outfit()
     first, last = (CachedPoser(trained).composite(motion, row) for row in (0, 3))
     assert torch.isfinite(first.means).all() and (first.means - last.means).abs().max() > 1e-3
     bundles = []

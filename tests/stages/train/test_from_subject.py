@@ -19,14 +19,15 @@ from stages.distill import stage as distill
 from stages.distill.config import DistillConfig
 from stages.export_garment import stage as export_garment
 from stages.export_garment.config import ExportGarmentConfig
-from stages.pipeline import BAKE_MAPS, DISTILL, PIPELINE, REGISTER_TEMPLATE, TRAIN
+from stages.pipeline import BAKE_MAPS, PIPELINE, TRAIN
 from stages.shared.artifacts import Workspace
 from stages.shared.artifacts.bundle import read_bundle
 from stages.shared.artifacts.staleness import staleness
 from stages.shared.avatar.compose import compose
 from stages.shared.body import embedded_body
 from stages.shared.errors import MissingInput, UsageProblem
-from stages.shared.outfit.outfit import Outfit, outfit_of_bundles, outfit_of_training
+from stages.shared.outfit.outfit import Outfit, outfit_of_bundles
+from stages.shared.outfit.trained_subject import TrainedSubject
 from stages.train import stage
 from stages.train.begin import Beginnings
 from stages.train.config import LossWeights, TrackConfig
@@ -73,7 +74,7 @@ def subject(prepared: Path, tmp_path: Path) -> Path:
 
 def _outfit(subject: Path) -> Outfit:
     workspace = Workspace(subject)
-    return outfit_of_training(*(workspace.require(spec) for spec in (REGISTER_TEMPLATE, BAKE_MAPS, TRAIN)))
+    return TrainedSubject.open(workspace.root).outfit()
 
 
 def test_the_body_stays_to_the_bit_and_the_garments_learn(inner: Path, subject: Path) -> None:
@@ -159,10 +160,7 @@ def test_layers_on_two_grids_are_distilled_exported_and_worn(
 ) -> None:
     stage.run(subject, tiny(steps=1), from_subject=inner)
     distill.run(subject, DistillConfig(training_poses=4, blended_poses=4, most=(2, 2, 2)))
-    workspace = Workspace(subject)
-    played = outfit_of_training(
-        *(workspace.require(spec) for spec in (REGISTER_TEMPLATE, BAKE_MAPS, DISTILL))
-    )
+    played = TrainedSubject.open(subject, distilled=True).outfit()
     learned = _outfit(subject)
     for one, other in zip(played.layers, learned.layers, strict=True):
         assert one.maps.pitch == other.maps.pitch and len(one.maps) == len(other.maps)

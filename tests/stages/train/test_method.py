@@ -13,12 +13,11 @@ import torch
 from typer.testing import CliRunner
 
 from gw_cli.app import app
-from stages.pipeline import BAKE_MAPS, REGISTER_TEMPLATE, TRAIN
 from stages.shared.artifacts import Workspace
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.errors import MissingInput, UsageProblem
 from stages.shared.layers import LAYERS
-from stages.shared.outfit.outfit import outfit_of_training
+from stages.shared.outfit.trained_subject import TrainedSubject
 from stages.train import stage
 from stages.train.ablation import PARTS, apply_ablation
 from stages.train.config import DEFAULT_METHOD, PRESETS, LossWeights, TrainConfig
@@ -126,7 +125,7 @@ def test_baselines_train_and_are_worn(method: str, tmp_path: Path) -> None:
     losses = json.loads(result.artifact.record("metrics.jsonl").splitlines()[-1])["losses"]
     assert ("label" in losses) is ("penetration" in losses) is (method == "layga")
     workspace = Workspace(subject)
-    outfit = outfit_of_training(*(workspace.require(spec) for spec in (REGISTER_TEMPLATE, BAKE_MAPS, TRAIN)))
+    outfit = TrainedSubject.open(workspace.root).outfit()
     composite = outfit.composite(poses(), 0)
     assert composite.layers == ("body", "upper") and composite.features.shape[1] == 5
     own = [torch.bincount(composite.layer_ids, minlength=2)[i].item() for i in range(2)]

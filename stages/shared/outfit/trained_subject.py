@@ -1,0 +1,65 @@
+"""A trained subject: the three artifacts that hold a person and the clothes it was captured in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from stages.pipeline import BAKE_MAPS, DISTILL, REGISTER_TEMPLATE, TRAIN
+from stages.shared.artifacts import Artifact, Workspace
+from stages.shared.body import BodyModel, Poses
+from stages.shared.layers import BASELINE_LAYERS, LAYERS
+from stages.shared.outfit.layer import WornLayer, layer_of_training
+from stages.shared.outfit.outfit import Outfit
+from stages.shared.poses.read import load_poses
+
+
+@dataclass(frozen=True)
+class TrainedSubject:
+    """Artifacts of one subject.
+
+    Attributes:
+        registered: of register-template. baked: of bake-maps. trained: of train, or of distill.
+    """
+
+    registered: Artifact
+    baked: Artifact
+    trained: Artifact
+
+    @classmethod
+    def open(cls, folder: Path, distilled: bool = False) -> TrainedSubject:
+        """The artifacts in use; `distilled` for the blendshapes that `gw distill` made of the networks.
+
+        Raises:
+            MissingInput: one of the stages has not run.
+        """
+        workspace = Workspace(folder)
+        specs = (REGISTER_TEMPLATE, BAKE_MAPS, DISTILL if distilled else TRAIN)
+        return cls(*(workspace.require(spec) for spec in specs))
+
+    @property
+    def artifacts(self) -> tuple[Artifact, Artifact, Artifact]:
+        """All three, in the order of the pipeline."""
+        return self.registered, self.baked, self.trained
+
+    @property
+    def layers(self) -> list[str]:
+        """Names of the trained layers, inner to outer; those of a baseline last."""
+        trained = self.trained.json("model.json")["layers"]
+        return [name for name in (*LAYERS, *BASELINE_LAYERS) if name in trained]
+
+    def body_model(self) -> BodyModel:
+        """The body model that the subject was registered with."""
+        return BodyModel.from_arrays(self.registered.arrays("body.safetensors"))
+
+    def poses(self) -> Poses:
+        """The motion of the template's take, with the shape of the subject."""
+        return load_poses(self.registered.file("smpl_params.npz"), self.body_model())
+
+    def layer(self, name: str) -> WornLayer:
+        """One trained layer."""
+        return layer_of_training(name, self.baked, self.trained)
+
+    def outfit(self) -> Outfit:
+        """The subject in its own clothes."""
+        return Outfit(self.body_model(), self.poses().betas, tuple(self.layer(name) for name in self.layers))

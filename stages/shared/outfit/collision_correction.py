@@ -1,13 +1,13 @@
-"""Push-out: garments of other people give way to the wearer's body.
+"""Collision correction: moves garments of other people out of the wearer's body, pose by pose.
 
-A garment takes the wearer's shape through the shape directions, but it hangs as it did on its source: where
-the wearer is larger, or lifts a leg as the source never did, the body would stick out. Nothing is trained: in
-every pose, each texel that is closer than `CLEARANCE` to the body that it covers asks for a displacement
-along the body's normal, and the garment moves by the smooth field that meets all of them.
+A garment follows the wearer's shape through the shape directions, but its offsets are those of its source.
+Where the wearer is larger, or lifts a leg higher than the source did, the body would poke through. Nothing is
+trained here. In every pose, each texel that is closer than `CLEARANCE` to the body that it covers needs a
+displacement along the body's normal; the garment moves by a smooth field that satisfies all of them.
 
-Which body texels a garment covers is decided once, in the canonical pose (`coverage.py`): a hand that hangs
-before a skirt does not push it. Front texels look for the body's front, back ones for its back, so that a
-thigh that is through the cloth pushes it forwards even where its back side is nearer.
+Which body texels a garment covers is decided once, in the canonical pose (`coverage.py`), so that a hand in
+front of a skirt does not move it. Front texels are compared with the front of the body and back texels with
+its back: a thigh that went through the cloth moves it forwards even where the back of the thigh is nearer.
 """
 
 from __future__ import annotations
@@ -27,22 +27,22 @@ from stages.shared.outfit.coverage import covered_weights, same_grid
 from stages.shared.outfit.layer import WornLayer
 
 CLEARANCE = 0.002  # m between a garment's Gaussians and the body's
-_DEEPEST = 0.03  # m; farther inside, cloth and body are not where they should be, and a push makes it worse
+_DEEPEST = 0.03  # m; deeper penetration is not a collision of neighbours, and moving it makes it worse
 _REACH = 0.20  # m between a texel and the body point it is compared with
 _NEAREST = 4  # body points that are averaged
-_ITERATIONS = 40  # of smoothing; the field reaches about √40 texels beyond the places that ask
-_FADING = 0.98  # per iteration, so that a push far away dies out
+_ITERATIONS = 40  # of smoothing; the field reaches about √40 texels beyond the constrained ones
+_FADING = 0.98  # per iteration, so that the field fades with distance
 
 Floats = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
 class CollisionCorrection:
-    """What a garment needs to know to give way in any pose.
+    """What is known of a garment before the pose.
 
     Attributes:
         garment: layer name.
-        sides: per side (front, back): indices of garment texels, and of the body texels beneath them.
+        sides: per side (front, back): indices of garment texels, and of the body texels under them.
         smoothing: (N, N) means over the linked texels of the garment.
     """
 
@@ -51,7 +51,7 @@ class CollisionCorrection:
     smoothing: sparse.csr_matrix
 
     def displacement(self, garment: PosedGaussians, body: PosedGaussians) -> Floats | None:
-        """(N, 3) m, world; None where nothing touches."""
+        """(N, 3) m, world; None without a collision."""
         points, beneath = garment.means.numpy(), body.means.numpy()
         normals = body.normals.numpy()
         need = np.zeros(len(points), np.float32)
@@ -64,13 +64,13 @@ class CollisionCorrection:
         return smooth_field(self.smoothing, need, along)
 
     def applied(self, garment: PosedGaussians, body: PosedGaussians) -> PosedGaussians:
-        """The garment out of the body's way."""
+        """The garment moved out of the body."""
         field = self.displacement(garment, body)
         return garment if field is None else replace(garment, means=garment.means + torch.from_numpy(field))
 
 
 def plan_correction(body: WornLayer, garment: WornLayer) -> CollisionCorrection | None:
-    """The push of one garment; None where it was learned on this body, or covers nothing of it."""
+    """The correction of one garment; None if it was learned on this body or covers none of it."""
     if (garment.source and garment.source == body.source) or not same_grid(body.maps, garment.maps):
         return None
     beneath = covered_weights(body.maps, garment.maps, feather=0.0) > 0
@@ -86,7 +86,7 @@ def plan_correction(body: WornLayer, garment: WornLayer) -> CollisionCorrection 
 def _height(points: Floats, beneath: Floats, normals: Floats) -> tuple[Floats, Floats]:
     """Height (N,) m of points over a surface of points with normals, and its normal (N, 3) there.
 
-    Infinite where the surface is out of reach: there is nothing beneath.
+    Infinite where the surface is out of reach.
     """
     distance, nearest = cKDTree(beneath).query(points, k=_NEAREST, distance_upper_bound=_REACH)
     here = np.isfinite(distance)
@@ -110,19 +110,19 @@ def smooth_field(smoothing: sparse.csr_matrix, need: Floats, along: Floats) -> F
         BadData: a number that is not finite.
     """
     require_finite("smooth_field", need=need, along=along)
-    asks = np.flatnonzero(need > 0)
-    wanted, direction = need[asks], along[asks]
+    constrained = np.flatnonzero(need > 0)
+    least, direction = need[constrained], along[constrained]
     field = np.zeros_like(along)
-    field[asks] = wanted[:, None] * direction
+    field[constrained] = least[:, None] * direction
     for _ in range(_ITERATIONS):
         field = (0.5 * _FADING) * (field + smoothing @ field)
-        lacking = np.clip(wanted - np.einsum("nk,nk->n", field[asks], direction), 0, None)
-        field[asks] += lacking[:, None] * direction
+        lacking = np.clip(least - np.einsum("nk,nk->n", field[constrained], direction), 0, None)
+        field[constrained] += lacking[:, None] * direction
     return finite(np.asarray(field, np.float32), "smooth_field")
 
 
 def _smoothing(maps: LayerMaps) -> sparse.csr_matrix:
-    """Means over neighbours in a view and across seams; a texel without any keeps its own value."""
+    """(N, N) means over neighbours in a view and across seams; a texel without neighbours keeps its value."""
     count = len(maps)
     first, second = maps.links()
     alone = np.setdiff1d(np.arange(count), first)

@@ -1,9 +1,8 @@
-"""Which body texels lie beneath a garment: a geometric test on the shared grid of texels.
+"""Which body texels a garment covers: a geometric test on the shared grid of texels.
 
-A body texel is covered when one of the garment's sheets that face the same side, a little dilated and with
-its holes filled, contains it, and the garment's point lies outside the body's along the body's normal
-(Gaussian Wardrobe swaps "Gaussians inside the garment"; which those are is decided here by geometry, not by
-painted masks).
+A body texel is covered when a sheet of the garment that faces the same side contains it (the sheet slightly
+dilated, its holes filled), and the garment's point lies outside the body along the body's normal. Gaussian
+Wardrobe swaps "Gaussians inside the garment"; this test decides which those are, without painted masks.
 """
 
 from __future__ import annotations
@@ -27,10 +26,10 @@ def same_grid(one: LayerMaps, other: LayerMaps) -> bool:
 
 
 def covered_weights(body: LayerMaps, garment: LayerMaps, feather: float = FEATHER) -> NDArray[np.float32]:
-    """How much each body texel is covered: (N,) f32, 0 bare, 1 deep beneath the garment, feathered between.
+    """How much each body texel is covered: (N,) f32, 0 bare, 1 fully covered, feathered between.
 
     Arguments:
-        body, garment: maps; on different grids nothing counts as covered. feather: metres; 0 for a hard edge.
+        body, garment: maps; on different grids nothing is covered. feather: metres; 0 for a hard edge.
     """
     weights = np.zeros(len(body), np.float32)
     if not same_grid(body, garment):
@@ -62,14 +61,14 @@ def _covered(
     columns: NDArray[np.int64],
     window: tuple[int, int, int, int],
 ) -> NDArray[np.bool_]:
-    """(M,) which body texels `member` are beneath a sheet of the garment; rows and columns in the window."""
+    """(M,) which body texels `member` a sheet of the garment covers; rows and columns in the window."""
     row0, column0, height, width = window
-    own = garment.texels.numpy()
-    here = np.flatnonzero(own[:, 0] == sheet)
+    texels = garment.texels.numpy()
+    here = np.flatnonzero(texels[:, 0] == sheet)
     if not len(here) or not len(member):
         return np.zeros(len(member), bool)
     index = np.full((height, width), -1, np.int64)
-    index[own[here, 1] - row0, own[here, 2] - column0] = here
+    index[texels[here, 1] - row0, texels[here, 2] - column0] = here
     far, nearest = ndimage.distance_transform_edt(index < 0, return_indices=True)
     mask = ndimage.binary_fill_holes(far <= DILATION / garment.pitch)
     above = garment.positions.numpy()[index[nearest[0], nearest[1]]][rows, columns]
@@ -86,7 +85,7 @@ def _feathered(
 ) -> NDArray[np.float32]:
     """(M,) weights of the body texels of one view: 0 at the edge of the covered part, 1 `feather` m inside.
 
-    The edge of the body itself is no edge: what lies behind it is the other view.
+    The edge of the body map does not count as an edge: the surface continues in the other view.
     """
     body = np.zeros(covered.shape, bool)
     body[rows, columns] = True

@@ -1,4 +1,4 @@
-"""A motion on legs of another length: hips higher or lower, steps longer or shorter, feet on the floor."""
+"""Fits a motion to legs of another length: pelvis path scaled, feet on the floor."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from stages.shared.body import JOINT_INDEX, BodyModel, Poses, posed_vertices, sh
 from stages.shared.body.posed import pose_tensors
 
 _SIDES = ("left", "right")
-_SAMPLES = 24  # frames that are looked at for the floor
+_SAMPLES = 24  # frames in which the floor is measured
 
 Floats = NDArray[np.float32]
 
@@ -20,8 +20,8 @@ Floats = NDArray[np.float32]
 def fix_foot_height(poses: Poses, body: BodyModel, betas: Floats) -> Poses:
     """The motion for a wearer of shape `betas` (10,); unchanged where the motion was made for that shape.
 
-    The way of the pelvis is scaled by the ratio of the leg lengths, from its first place over the floor; then
-    the lowest vertex of the clip stands as high as it did. The floor is taken to be level.
+    The path of the pelvis is scaled by the ratio of the leg lengths, about its first position on the floor.
+    Then the lowest vertex of the clip gets the height it had before. The floor is assumed to be level.
     """
     if np.allclose(poses.betas, betas, atol=1e-6) or not len(poses):
         return poses

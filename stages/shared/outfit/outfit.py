@@ -22,7 +22,7 @@ from stages.shared.outfit.driver import LEARNED, GarmentDriver, choose_drivers
 from stages.shared.outfit.layer import WornLayer, layer_of_bundle
 from stages.shared.outfit.retarget import can_retarget, retarget_garment
 from stages.shared.outfit.swap import Swap, apply_swaps, plan_swap
-from stages.shared.outfit.uncovered_skin import UncoveredSkin, plan_uncovered_skin, restored
+from stages.shared.outfit.uncovered_skin import UncoveredSkin, plan_uncovered_skin, replace_uncovered_skin
 from stages.shared.splat.gaussians import Gaussians
 
 _MOMENTS = 64
@@ -92,7 +92,9 @@ class Outfit:
                 residual = layer.model.residual(pose.local_transforms, motion=motion)
             attributes = layer.model.attributes(residual)
             if layer.name == BODY:
-                attributes = apply_swaps(restored(attributes, self.uncovered_skin), list(self.swaps))
+                attributes = apply_swaps(
+                    replace_uncovered_skin(attributes, self.uncovered_skin), list(self.swaps)
+                )
             matrices = driver.matrices(poses, frame)
             posed[layer.name] = pose_layer(layer.maps, attributes, pose.transforms, pose.betas, matrices)
             if layer.name in corrections:

@@ -1,9 +1,9 @@
-"""Penetration-aware rendering: where an inner layer shows through a garment without being in front of it,
-the pixel takes the garment's own render (Gaussian Wardrobe, sec. 3.5).
+"""Penetration-aware rendering: where an inner layer pokes through a garment, the pixel shows the garment.
 
-A pixel counts as penetrated by the inner layer I of an outer layer O when it lies inside O's outlines (holes
-filled, rim eroded), O alone is opaque there, and I is not more than ε in front of O. What is farther in
-front, as an arm before a jacket, is left alone.
+A pixel is penetrated by the inner layer I of an outer layer O when it lies inside the outlines of O (holes
+filled, rim eroded), O alone is opaque there, and I is at most ε in front of O. The pixel then takes the
+rendering of O alone (Gaussian Wardrobe, sec. 3.5). Layers farther in front, such as an arm in front of a
+jacket, are not changed.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ class PenetrationConfig:
     """Tolerances of the test.
 
     Attributes:
-        body_margin: metres that the body may be in front of a garment and still count as poking through.
+        body_margin: metres that the body may be in front of a garment and still penetrate it.
         garment_margin: metres, the same between garments.
-        rim: pixels inside a garment's outline that stay as they are.
-        opaque: alpha of the garment alone from which it can hide what is beneath.
+        rim: width in pixels of the zone inside a garment's outline that is not changed.
+        opaque: alpha of the garment alone from which it can replace a pixel.
     """
 
     body_margin: float = 0.03
@@ -42,17 +42,17 @@ class PenetrationConfig:
     opaque: float = 0.95
 
     def margin(self, inner: str) -> float:
-        """Metres that a layer may be in front of a garment and still count as poking through."""
+        """Metres that a layer may be in front of a garment and still penetrate it."""
         return self.body_margin if inner == BODY else self.garment_margin
 
 
-# Garments of other people lie less close to the body: the margins that were published for try-on.
+# Garments of other people fit less closely: the margins published for try-on.
 TRYON_MARGINS = PenetrationConfig(body_margin=0.05, garment_margin=0.10)
 
 
 @dataclass(frozen=True, eq=False)
 class ResolvedImage:
-    """A composite after the pass.
+    """A rendering after the pass.
 
     Attributes:
         rendering: the composite with the penetrated pixels replaced.
@@ -65,7 +65,7 @@ class ResolvedImage:
     counts: dict[str, int]
 
 
-def repair(
+def resolve_penetration(
     rendering: LayeredRendering, layers: tuple[str, ...], config: PenetrationConfig = PenetrationConfig()
 ) -> ResolvedImage:
     """Run the pass over every pair of layers, garments among each other first, then the body against each.
@@ -78,7 +78,7 @@ def repair(
     whole = rendering.composite
     repaired = Rendering(whole.features.clone(), whole.alpha.clone(), whole.depth.clone())
     total = np.zeros(tuple(whole.alpha.shape), bool)
-    box = _box(whole.alpha.numpy())  # what lies outside it costs nothing
+    box = _box(whole.alpha.numpy())
     features, alpha, depth = (
         field.numpy()[box] for field in (repaired.features, repaired.alpha, repaired.depth)
     )
@@ -96,7 +96,7 @@ def repair(
         behind = own_depth[inner] >= own_depth[outer] - config.margin(layers[inner])
         place = np.nonzero(inside & opaque & behind)
         winner = features[place][:, 3:].argmax(axis=1)
-        among = (winner == inner) | (winner == outer)  # a third layer in front is neither's business
+        among = (winner == inner) | (winner == outer)  # a third layer in front stays
         place, wrong = tuple(axis[among] for axis in place), winner[among] == inner
         counts[f"{layers[inner]}/{layers[outer]}"] = int(wrong.sum())
         total[box][tuple(axis[wrong] for axis in place)] = True
@@ -109,9 +109,9 @@ def repair(
 def resolve_penetration_tiles(
     view: LayeredView, layers: tuple[str, ...], config: PenetrationConfig = PenetrationConfig()
 ) -> ResolvedImage:
-    """`repair` on the tile lists of a composite, which is changed in place: the same bytes, sooner.
+    """`resolve_penetration` on the tile lists of a rendering, changed in place: the same bytes, faster.
 
-    A layer is rendered alone only in tiles, and blocks of them, where some pixel's fate depends on it.
+    A layer is rendered alone only in those blocks of tiles in which a pixel depends on it.
     """
     picture, box = view.rendering, view.box()
     inside, repaired = (np.zeros(tuple(picture.alpha.shape), np.uint8) for _ in range(2))
@@ -126,7 +126,7 @@ def resolve_penetration_tiles(
 
 
 def fill_contours(shown: Mask | NDArray[np.uint8], rim: int) -> Mask:
-    """The pixels inside the outer outlines of a mask (H, W), holes filled, `rim` pixels off the outlines."""
+    """The pixels inside the outer contours of a mask (H, W), holes filled, eroded by `rim` pixels."""
     picture = np.ascontiguousarray(shown, dtype=np.uint8)
     contours, _ = cv2.findContours(picture, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     filled = cv2.drawContours(np.zeros_like(picture), contours, -1, 1, cv2.FILLED)

@@ -12,7 +12,7 @@ from torch import Tensor
 from stages.shared.capture.camera import Camera
 from stages.shared.outfit.develop import develop
 from stages.shared.outfit.layer import label_of
-from stages.shared.outfit.penetration import PenetrationConfig, repair, resolve_penetration_tiles
+from stages.shared.outfit.penetration import PenetrationConfig, resolve_penetration, resolve_penetration_tiles
 from stages.shared.splat.api import rasterize, rasterize_layers
 from stages.shared.splat.gaussians import Gaussians
 from stages.shared.splat.rendering import Rendering
@@ -112,7 +112,7 @@ def render_image(
             }
         if penetration is None:
             return _shot(layered.composite, composite.layers, alone)
-        repaired = repair(layered, composite.layers, penetration)
+        repaired = resolve_penetration(layered, composite.layers, penetration)
     return _shot(repaired.rendering, composite.layers, alone, repaired.mask, repaired.counts)
 
 

@@ -1,8 +1,8 @@
-"""A garment that was learned with one body model, on a body of another.
+"""Retargets a garment that was learned with one body model to a wearer with another.
 
-Bones have the same names and the same canonical pose in every body model of the SMPL-X convention, but they
-are not in the same places, and shape coefficients mean something else. The garment's points move with the
-bones' canonical places, and its weights and shape directions become those of the wearer's nearest texels.
+Every body model of the SMPL-X convention has the same bones in the same canonical pose, but at other
+positions, and its shape coefficients have another meaning. The garment's points move with the canonical
+positions of the bones; its skinning weights and shape directions become those of the wearer's nearest texels.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ def canonical_joints(body: BodyModel) -> NDArray[np.float32]:
 
 
 def can_retarget(garment: Bundle) -> bool:
-    """Whether a bundle says where the bones were that it was learned with."""
+    """Whether a bundle stores the joints of the body model that it was learned with."""
     return "joints" in garment.arrays
 
 
 def retarget_garment(
     garment: WornLayer, joints: NDArray[np.float32], body: WornLayer, model: BodyModel
 ) -> WornLayer:
-    """The garment as if it had been learned with the wearer's body model; its networks stay as they are.
+    """The garment with maps for the wearer's body model; its decoder is unchanged.
 
     Arguments:
         joints: (55, 3) m canonical, of the body model the garment was learned with.
@@ -57,6 +57,6 @@ def retarget_garment(
         positions=positions,
         skin_weights=(body.maps.skin_weights[near] * weights[..., None]).sum(dim=1),
         shape_directions=(body.maps.shape_directions[near] * weights[..., None, None]).sum(dim=1),
-        centre=body.maps.centre,  # each grid is centred on its own body: texels mean the same places
+        centre=body.maps.centre,  # each grid is centred on its body: texels then mean the same places
     )
     return replace(garment, maps=new, beneath=None)

@@ -1,8 +1,9 @@
-"""The body-Gaussian swap: beneath a garment, the wearer's body takes the form of the garment's own source.
+"""The body-Gaussian swap: under a garment, the wearer's body takes the shape of the garment's source.
 
-A garment was learned on its source's body, so it fits that body's surface; another body would poke through.
-Offset Δp and rotation of the covered texels are therefore those of the source's body; colour, opacity and
-scale stay the wearer's (Gaussian Wardrobe, sec. 3.4). Texels are matched by their place on the shared grid.
+A garment was learned on the body of its source and fits the surface of that body; another body would poke
+through. Offset Δp and rotation of the covered texels are therefore those of the source's body. Colour,
+opacity and scale stay the wearer's (Gaussian Wardrobe, sec. 3.4). Texels are matched by position on the
+shared grid.
 """
 
 from __future__ import annotations
@@ -21,11 +22,11 @@ from stages.shared.outfit.layer import WornLayer
 
 @dataclass(frozen=True, eq=False)
 class Swap:
-    """What replaces the body's form under one garment.
+    """Replacement of body attributes under one garment.
 
     Attributes:
         garment: layer name.
-        weights: (N, 1) of the body's texels, 0 keep to 1 replace.
+        weights: (N, 1) of the body's texels, from 0 (wearer's) to 1 (source's).
         offsets: (N, 3) m. quaternions: (N, 4) unit. Zero and identity where the weight is 0.
     """
 
@@ -41,7 +42,7 @@ class Swap:
 
 
 def plan_swap(body: WornLayer, garment: WornLayer, feather: float = FEATHER) -> Swap | None:
-    """The swap that a garment brings, or None: learned together, nothing carried, or another grid."""
+    """The swap of a garment; None if both were learned together, nothing is stored, or the grids differ."""
     beneath = garment.beneath
     if beneath is None or (garment.source and garment.source == body.source):
         return None
@@ -49,9 +50,9 @@ def plan_swap(body: WornLayer, garment: WornLayer, feather: float = FEATHER) -> 
         return None
     weights = torch.from_numpy(covered_weights(body.maps, garment.maps, feather))
     size = body.maps.grid_size
-    carried = _numbers(beneath.texels, size)
-    place = torch.searchsorted(carried, body.maps.pixel_ids()).clamp(max=len(carried) - 1)
-    known = carried[place] == body.maps.pixel_ids()
+    stored = _pixel_ids(beneath.texels, size)
+    place = torch.searchsorted(stored, body.maps.pixel_ids()).clamp(max=len(stored) - 1)
+    known = stored[place] == body.maps.pixel_ids()
     weights = torch.where(known, weights, 0.0)
     used = weights > 0
     identity = torch.tensor([1.0, 0.0, 0.0, 0.0])
@@ -79,7 +80,7 @@ def slerp(start: Tensor, end: Tensor, weights: Tensor) -> Tensor:
     require_finite("slerp", start=start, end=end, weights=weights)
     cosine = (start * end).sum(dim=1, keepdim=True)
     end = torch.where(cosine < 0, -end, end)
-    straight = cosine.abs() > 1 - 1e-7  # nearly equal: the chord is the arc, and the arc has no slope
+    straight = cosine.abs() > 1 - 1e-7  # nearly equal: interpolate linearly, since acos has no finite slope
     angle = torch.acos(torch.where(straight, 0.0, cosine.abs()))
     safe = torch.sin(angle)
     first = torch.where(straight, 1 - weights, torch.sin((1 - weights) * angle) / safe)
@@ -88,10 +89,10 @@ def slerp(start: Tensor, end: Tensor, weights: Tensor) -> Tensor:
 
 
 def covered_texels(body: LayerMaps, garment: LayerMaps) -> Tensor:
-    """(K,) int64 indices of the body texels that a bundle of this garment must carry."""
+    """(K,) int64 indices of the body texels whose attributes a bundle of this garment stores."""
     return torch.from_numpy(covered_weights(body, garment, feather=0.0) > 0).nonzero()[:, 0]
 
 
-def _numbers(texels: Tensor, size: int) -> Tensor:
+def _pixel_ids(texels: Tensor, size: int) -> Tensor:
     view, row, column = texels.unbind(dim=1)
     return (view * size + row) * size + column

@@ -1,9 +1,8 @@
-"""Skin that was covered when the body was learned, and is bare in another outfit.
+"""Skin that clothes covered in training and that another outfit leaves bare.
 
-No image ever saw it: its colour is what a loss left there, learning pushed it inwards, out of the way of the
-clothes it was learned with, and nothing asked its Gaussians to close ranks. Where nothing covers it now, it
-takes the colour and the height over the template of the skin around (values of seen skin, spread over the
-covered texels by averaging), as discs on the surface that leave no gaps.
+No image shows this skin. Its learned colour is arbitrary, training moved it inwards, away from the clothes,
+and its Gaussians leave gaps. Where nothing covers it now, it takes the colour and the height over the
+template of the skin around it (a harmonic extension of the observed skin), as discs that cover the surface.
 """
 
 from __future__ import annotations
@@ -27,9 +26,9 @@ from stages.shared.outfit.layer import Skin, WornLayer
 from stages.shared.outfit.swap import slerp
 
 _LIKE_SKIN = 0.25  # distance in sRGB from the colour of the hands; hair and shoes are farther
-_LARGEST = 0.01  # m, of the height over the template that is carried on
-_PULL = 1e-3  # towards the mean, where no seen skin is linked
-_COVER = 0.75  # standard deviation of a disc per distance to its neighbours; hides 98 % of what is between
+_LARGEST = 0.01  # m, limit of the height over the template
+_PULL = 1e-3  # towards the mean, where no observed skin is connected
+_COVER = 0.75  # standard deviation of a disc per distance to its neighbours; covers 98 % between them
 _LONGEST = 2.0  # pitches; at the rim of a limb, longer discs would stand out from it
 _FLATNESS = 0.3
 _OPACITY = 0.97
@@ -39,10 +38,11 @@ Floats = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class UncoveredSkin:
-    """What bare skin becomes.
+    """Replacement attributes of uncovered skin.
 
     Attributes:
-        weights: (N, 1) of the body's texels, 0 keep to 1 replace. offsets: (N, 3) m. colors: (N, 3) sRGB.
+        weights: (N, 1) of the body's texels, from 0 (learned) to 1 (replaced).
+        offsets: (N, 3) m. colors: (N, 3) sRGB.
         quaternions: (N, 4) unit wxyz, scales: (N, 3) m, opacities: (N,) of discs that cover the surface.
     """
 
@@ -62,7 +62,7 @@ class UncoveredSkin:
 def extrapolate_skin(
     maps: LayerMaps, garments: Sequence[LayerMaps], offsets: Tensor, colors: Tensor
 ) -> Skin | None:
-    """What a body bundle carries about its covered texels; None where nothing is covered or no skin was seen.
+    """What a body bundle stores about its covered texels; None if none is covered or no skin was observed.
 
     Arguments:
         maps: of the body. garments: those it was learned with.
@@ -90,7 +90,7 @@ def extrapolate_skin(
 
 
 def plan_uncovered_skin(body: WornLayer, garments: Sequence[WornLayer]) -> UncoveredSkin | None:
-    """What of the body is bare in this outfit that was not when it was learned; None for nothing."""
+    """The skin that is bare in this outfit and was covered in training; None if there is none."""
     if body.skin is None:
         return None
     worn = np.zeros(len(body.maps), np.float32)
@@ -103,8 +103,8 @@ def plan_uncovered_skin(body: WornLayer, garments: Sequence[WornLayer]) -> Uncov
     return UncoveredSkin(weights, body.skin.offsets, body.skin.colors, *_discs(body.maps))
 
 
-def restored(attributes: Attributes, uncovered_skin: UncoveredSkin | None) -> Attributes:
-    """Body attributes with bare skin as it should be."""
+def replace_uncovered_skin(attributes: Attributes, uncovered_skin: UncoveredSkin | None) -> Attributes:
+    """Body attributes with uncovered skin replaced."""
     if uncovered_skin is None:
         return attributes
     return replace(
@@ -120,8 +120,8 @@ def restored(attributes: Attributes, uncovered_skin: UncoveredSkin | None) -> At
 def _discs(maps: LayerMaps) -> tuple[Tensor, Tensor, Tensor]:
     """Quaternions (N, 4), scales (N, 3) m and opacities (N,) of discs that cover the surface they lie in.
 
-    Texels stand a pitch apart on the map, hence farther apart down a slope of the surface: a disc is as wide
-    and as long as its neighbours are far that way.
+    Texels are one pitch apart on the map, and farther apart where the surface slopes away. The size of a disc
+    along each axis is the distance to its neighbours along it.
     """
     import roma  # loads the whole of torch._dynamo: two seconds
 

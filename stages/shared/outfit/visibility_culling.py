@@ -1,11 +1,11 @@
-"""Body Gaussians that nobody can see beneath opaque garments: they need not be posed or drawn.
+"""Finds body Gaussians that garments hide in a whole motion, so that they need not be posed or drawn.
 
-A body texel is hidden when it lies deep beneath a garment (`covered_weights` is 1), when in some poses of the
-motion and from all around, above and below it adds next to nothing to any picture, and when the same holds
-for all texels within a margin of it. What a Gaussian adds to a picture is the sum of its blending weights:
-the derivative of the summed picture by the Gaussian's own feature, against the area of its image.
+A body texel is hidden when three things hold. A garment covers it fully (`covered_weights` is 1). In sampled
+poses of the motion, seen from all around, above and below, its contribution to every picture is negligible.
+The same is true of all texels within a margin. The contribution of a Gaussian to a picture is the sum of its
+blending weights, divided by the area of its image.
 
-Whoever takes a garment off makes another outfit, with a plan of its own.
+The result is valid for one outfit: without a garment, more of the body is visible.
 """
 
 from __future__ import annotations
@@ -29,24 +29,22 @@ from stages.shared.outfit.viewpoints import look_at_camera
 from stages.shared.splat.api import contributions as splat_contributions
 from stages.shared.splat.gaussians import Gaussians
 
-LEAST_CONTRIBUTION = (
-    0.0013  # of what a Gaussian would add with nothing before it: a third of one of 255 levels
-)
-MARGIN = 0.013  # m around what is seen that is drawn as well
+LEAST_CONTRIBUTION = 0.0013  # share of the unoccluded contribution: a third of one of 255 levels
+MARGIN = 0.013  # m around visible texels that are drawn as well
 MOST_POSES = 12
 LEAST_PICTURES = 300
-"""A film of fewer is made sooner than the plan."""
+"""With fewer pictures the search takes longer than it saves."""
 _BLUR = 0.3  # px², of the splatter
-_SIDE = 256  # px of the pictures in which texels are looked for
+_SIDE = 256  # px, side of the sampled pictures
 _REACH = 0.25  # m around the joints
-_AROUND = ((0.08, 5, 0.0), (-0.7, 3, 0.5), (1.2, 2, 0.9))  # tilt, how many, azimuth of the first
+_AROUND = ((0.08, 5, 0.0), (-0.7, 3, 0.5), (1.2, 2, 0.9))  # tilt, number of cameras, first azimuth
 
 
 def find_hidden_texels(outfit: Outfit, poses: Poses, rows: Sequence[int]) -> NDArray[np.bool_] | None:
-    """(N,) which texels of the body need not be drawn in a motion; None where all must be.
+    """(N,) texels of the body that need not be drawn in a motion; None where all are needed.
 
     Arguments:
-        poses: the motion. rows: of it, those that will be played; `MOST_POSES` of them are looked at.
+        poses: the motion. rows: those that will be rendered; `MOST_POSES` of them are sampled.
     """
     covered = fully_covered(outfit)
     if not covered.any() or not len(rows):
@@ -62,14 +60,14 @@ def find_hidden_texels(outfit: Outfit, poses: Poses, rows: Sequence[int]) -> NDA
             share = contributions(composite, camera) / footprints(composite, camera)
             np.maximum(seen, share[: len(covered)].numpy(), out=seen)
     maps = outfit.layers[0].maps
-    shown = spread(
+    shown = dilate(
         ~covered | (seen >= LEAST_CONTRIBUTION), maps.neighbours.numpy(), round(MARGIN / maps.pitch)
     )
     return None if shown.all() else ~shown
 
 
 def fully_covered(outfit: Outfit) -> NDArray[np.bool_]:
-    """(N,) texels of the body that a garment on the same grid covers wholly."""
+    """(N,) texels of the body that a garment on the same grid covers fully."""
     body = outfit.layers[0].maps
     covered = np.zeros(len(body), bool)
     if outfit.layers[0].name == BODY:
@@ -80,7 +78,7 @@ def fully_covered(outfit: Outfit) -> NDArray[np.bool_]:
 
 
 def contributions(composite: Gaussians, camera: Camera) -> Tensor:
-    """(N,) sum over pixels of every Gaussian's blending weight in one picture."""
+    """(N,) sum over pixels of the blending weight of every Gaussian in one picture."""
     return splat_contributions(
         composite.means, None, None, composite.opacities, *camera.tensors(), camera.width, camera.height,
         covars=composite.covariances,
@@ -88,23 +86,23 @@ def contributions(composite: Gaussians, camera: Camera) -> Tensor:
 
 
 def footprints(composite: Gaussians, camera: Camera) -> Tensor:
-    """(N,) px², 2π times the variance of every Gaussian's image, were it a sphere as wide as it is wide."""
+    """(N,) px², area of the image of every Gaussian: 2π times the variance of a sphere of the same width."""
     matrix = torch.from_numpy(camera.camera_from_world).to(composite.means)
     depth = (composite.means @ matrix[2, :3] + matrix[2, 3]).clamp(min=1e-3)
-    variance = composite.covariances.diagonal(dim1=1, dim2=2).sum(dim=1) / 2  # of a disc, along its sides
+    variance = composite.covariances.diagonal(dim1=1, dim2=2).sum(dim=1) / 2  # of a disc, along each axis
     return 2 * math.pi * (variance * (camera.intrinsics[0, 0] / depth).square() + _BLUR)
 
 
-def spread(chosen: NDArray[np.bool_], neighbours: NDArray[np.int64], steps: int) -> NDArray[np.bool_]:
-    """Texels within so many steps of chosen ones; neighbours (N, 4), −1 where there is none."""
+def dilate(texels: NDArray[np.bool_], neighbours: NDArray[np.int64], steps: int) -> NDArray[np.bool_]:
+    """(N,) texels within `steps` steps of the given ones; neighbours (N, 4), −1 where there is none."""
     for _ in range(steps):
-        near = chosen[neighbours] & (neighbours >= 0)
-        chosen = chosen | near.any(axis=1)
-    return chosen
+        near = texels[neighbours] & (neighbours >= 0)
+        texels = texels | near.any(axis=1)
+    return texels
 
 
 def _cameras(outfit: Outfit, poses: Poses, row: int) -> list[Camera]:
-    """All around a pose, some from below and from above."""
+    """Cameras around a pose, some of them below and above it."""
     joints = posed_joints(outfit.body_model, *pose_tensors(poses, row, outfit.betas)).numpy()
     middle = (joints.min(axis=0) + joints.max(axis=0)) / 2.0
     reach = float(np.linalg.norm(joints - middle, axis=1).max()) + _REACH

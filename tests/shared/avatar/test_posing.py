@@ -16,7 +16,7 @@ from stages.shared.avatar.deform import pose_layer, rotation_matrices
 from stages.shared.avatar.pose import FramePose
 from stages.shared.avatar.posing import PosedBuffers, PosedLayer, Replacement
 from stages.shared.outfit.swap import Swap, apply_swaps
-from stages.shared.outfit.uncovered_skin import UncoveredSkin, restored
+from stages.shared.outfit.uncovered_skin import UncoveredSkin, replace_uncovered_skin
 from tests.shared.avatar.tubes import tube
 
 BETAS = torch.linspace(-2, 2, 10)
@@ -83,7 +83,7 @@ def test_fused_posing_is_the_plain_one(kind: str, swaps: int) -> None:
             torch.rand(count, generator=generator),
         )
     with torch.no_grad():
-        attributes = restored(model(pose), skin)
+        attributes = replace_uncovered_skin(model(pose), skin)
         attributes = apply_swaps(attributes, changes)
         plain = pose_layer(model.maps, attributes, world, BETAS)
         out = _buffers(count)

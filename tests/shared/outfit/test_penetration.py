@@ -7,7 +7,12 @@ import pytest
 import torch
 from scipy import ndimage
 
-from stages.shared.outfit.penetration import TRYON_MARGINS, PenetrationConfig, fill_contours, repair
+from stages.shared.outfit.penetration import (
+    TRYON_MARGINS,
+    PenetrationConfig,
+    fill_contours,
+    resolve_penetration,
+)
 from stages.shared.splat.rendering import LayeredRendering, Rendering
 
 SIZE = 40
@@ -48,7 +53,7 @@ def test_skin_through_a_hole_in_the_shirt_is_fixed() -> None:
     body[18:22, 18:22] = 1.97  # one centimetre out of the shirt
     scene = _layered([body, shirt], [RED, BLUE])
     assert torch.allclose(scene.composite.features[20, 20, :3], RED)
-    result = repair(scene, LAYERS)
+    result = resolve_penetration(scene, LAYERS)
     assert torch.allclose(result.rendering.features[20, 20, :3], BLUE)
     assert float(result.rendering.depth[20, 20]) == pytest.approx(1.98)
     assert result.counts == {"body/upper": 16}
@@ -59,7 +64,7 @@ def test_an_arm_in_front_of_the_shirt_is_kept() -> None:
     body, shirt = _plane(2.0), _plane(1.98, slice(5, 35), slice(5, 35))
     body[15:20, 10:30] = 1.9
     scene = _layered([body, shirt], [RED, BLUE])
-    result = repair(scene, LAYERS)
+    result = resolve_penetration(scene, LAYERS)
     assert torch.equal(result.rendering.features, scene.composite.features)
     assert result.counts["body/upper"] == 0 and not result.mask.any()
 
@@ -70,7 +75,7 @@ def test_an_arm_in_a_sleeve_opening_is_kept() -> None:
     shirt[12:28, 12:28] = 2.08
     arm = _plane(1.99, slice(14, 26), slice(14, 26))
     scene = _layered([arm, shirt], [RED, BLUE])
-    result = repair(scene, LAYERS)
+    result = resolve_penetration(scene, LAYERS)
     assert torch.equal(result.rendering.features, scene.composite.features)
     assert not result.mask.any()
 
@@ -78,17 +83,17 @@ def test_an_arm_in_a_sleeve_opening_is_kept() -> None:
 def test_without_an_outer_layer_nothing_happens() -> None:
     nothing = torch.full((SIZE, SIZE), torch.inf)
     scene = _layered([_plane(2.0, slice(5, 35)), nothing], [RED, BLUE])
-    result = repair(scene, LAYERS)
+    result = resolve_penetration(scene, LAYERS)
     assert torch.equal(result.rendering.features, scene.composite.features)
     assert result.counts == {"body/upper": 0}
     alone = _layered([_plane(2.0)], [RED])
-    assert repair(alone, ("body",)).counts == {}
+    assert resolve_penetration(alone, ("body",)).counts == {}
 
 
 def test_skin_outside_the_outline_is_kept() -> None:
     body, shirt = _plane(2.0), _plane(1.98, slice(5, 35), slice(5, 25))
     scene = _layered([body, shirt], [RED, BLUE])
-    result = repair(scene, LAYERS)
+    result = resolve_penetration(scene, LAYERS)
     assert torch.equal(result.rendering.features[:, 26:], scene.composite.features[:, 26:])
 
 
@@ -98,13 +103,13 @@ def test_a_garment_in_front_of_another_is_not_taken_for_skin() -> None:
     upper = _plane(1.8, slice(15, 25), slice(15, 25))
     green = torch.tensor([0.1, 0.9, 0.1])
     scene = _layered([body, lower, upper], [RED, BLUE, green])
-    result = repair(scene, ("body", "lower", "upper"))
+    result = resolve_penetration(scene, ("body", "lower", "upper"))
     assert torch.equal(result.rendering.features, scene.composite.features)
     deep = _plane(2.0), _plane(1.9, slice(5, 35), slice(5, 35)), _plane(1.93, slice(10, 30), slice(10, 30))
     poking = _layered(list(deep), [RED, BLUE, green])
     poking.composite.features[12:28, 12:28] = torch.tensor([*green.tolist(), 0.0, 0.0, 1.0])
     poking.composite.features[18:20, 18:20, 3:] = torch.tensor([0.0, 1.0, 0.0])
-    found = repair(poking, ("body", "lower", "upper"))
+    found = resolve_penetration(poking, ("body", "lower", "upper"))
     assert found.counts["lower/upper"] == 4
 
 
@@ -112,8 +117,8 @@ def test_the_margin_decides() -> None:
     body, shirt = _plane(2.0), _plane(1.98, slice(5, 35), slice(5, 35))
     body[18:22, 18:22] = 1.94
     scene = _layered([body, shirt], [RED, BLUE])
-    assert repair(scene, LAYERS).counts["body/upper"] == 0
-    assert repair(scene, LAYERS, PenetrationConfig(body_margin=0.05)).counts["body/upper"] == 16
+    assert resolve_penetration(scene, LAYERS).counts["body/upper"] == 0
+    assert resolve_penetration(scene, LAYERS, PenetrationConfig(body_margin=0.05)).counts["body/upper"] == 16
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -138,7 +143,7 @@ def test_four_layers_in_order_each_repaired_by_its_own_outer() -> None:
     upper[8:12, 10:14] = 1.93
     green, white = torch.tensor([0.1, 0.9, 0.1]), torch.tensor([0.9, 0.9, 0.9])
     scene = _layered([body, lower, upper, outer], [RED, BLUE, green, white])
-    result = repair(scene, names)
+    result = resolve_penetration(scene, names)
     assert {pair: count for pair, count in result.counts.items() if count} == {
         "body/lower": 16,
         "upper/outer": 16,
@@ -153,7 +158,7 @@ def test_try_on_margins_fix_more_and_still_keep_an_arm() -> None:
     body[12:14, 12:14] = 1.94  # four centimetres out: a thigh through a foreign skirt
     body[22:26, 10:30] = 1.86  # twelve: an arm
     scene = _layered([body, shirt], [RED, BLUE])
-    assert repair(scene, LAYERS).counts["body/upper"] == 0
-    repaired = repair(scene, LAYERS, TRYON_MARGINS)
+    assert resolve_penetration(scene, LAYERS).counts["body/upper"] == 0
+    repaired = resolve_penetration(scene, LAYERS, TRYON_MARGINS)
     assert repaired.counts["body/upper"] == 4
     assert torch.equal(repaired.rendering.features[22:26, 10:30], scene.composite.features[22:26, 10:30])

@@ -16,7 +16,7 @@ from stages.shared.outfit.collision_correction import CLEARANCE, plan_correction
 from stages.shared.outfit.layer import Skin, WornLayer
 from stages.shared.outfit.outfit import outfit_of_bundles
 from stages.shared.outfit.retarget import canonical_joints, retarget_garment
-from stages.shared.outfit.uncovered_skin import extrapolate_skin, plan_uncovered_skin, restored
+from stages.shared.outfit.uncovered_skin import extrapolate_skin, plan_uncovered_skin, replace_uncovered_skin
 from stages.shared.splat.api import rasterize
 from tests.shared.outfit.wardrobe import bundle, motion, worn
 
@@ -95,11 +95,12 @@ def test_only_what_is_bare_now_is_restored() -> None:
         torch.full((count,), 0.7),
         torch.zeros(count, 3),
     )
-    after = restored(before, naked)
+    after = replace_uncovered_skin(before, naked)
     bare = naked.weights[:, 0] == 1
     assert torch.allclose(after.colors[bare], torch.tensor(0.25)) and (after.colors[~bare] == 0).all()
     assert torch.allclose(after.offsets[bare], torch.tensor(0.5))
-    assert torch.equal(after.opacities[~bare], before.opacities[~bare]) and restored(before, None) is before
+    assert torch.equal(after.opacities[~bare], before.opacities[~bare])
+    assert replace_uncovered_skin(before, None) is before
 
 
 @pytest.mark.parametrize(
@@ -125,7 +126,7 @@ def test_bare_skin_has_no_gaps(side: tuple[float, float, float], before: float, 
     assert naked is not None
     naked = replace(naked, offsets=torch.zeros(count, 3))
     assert _least_alpha(wearer, shrunk, bare, side) < before
-    assert _least_alpha(wearer, restored(shrunk, naked), bare, side) > after
+    assert _least_alpha(wearer, replace_uncovered_skin(shrunk, naked), bare, side) > after
     # Discs lie in the surface, and none is longer than the limit.
     thin = rotation_matrices(naked.quaternions)[:, :, 2]
     assert (thin * functional.normalize(wearer.maps.normals, dim=1)).sum(dim=1).min() > 0.999

@@ -14,7 +14,7 @@ from stages.shared.outfit.cached_poser import CachedPoser
 from stages.shared.outfit.outfit import Outfit, outfit_of_bundles
 from stages.shared.outfit.penetration import PenetrationConfig
 from stages.shared.outfit.render_image import render_image
-from stages.shared.outfit.visibility_culling import contributions, find_hidden_texels, fully_covered, spread
+from stages.shared.outfit.visibility_culling import contributions, dilate, find_hidden_texels, fully_covered
 from stages.shared.render_sequence import frames as sequence_frames
 from stages.shared.render_sequence.outputs import SequenceFrame, SequenceOutputs
 from stages.shared.report import SILENT
@@ -117,11 +117,11 @@ def test_contributions_are_what_a_colour_adds(dressed: Outfit) -> None:
     assert before - after == pytest.approx(lost, rel=1e-2) and added[index] > 0.5
 
 
-def test_spread() -> None:
+def test_dilate() -> None:
     chain = np.array([[-1, 1, -1, -1], [0, 2, -1, -1], [1, 3, -1, -1], [2, -1, -1, -1]])
     start = np.array([True, False, False, False])
-    assert spread(start, chain, 0).tolist() == [True, False, False, False]
-    assert spread(start, chain, 2).tolist() == [True, True, True, False]
+    assert dilate(start, chain, 0).tolist() == [True, False, False, False]
+    assert dilate(start, chain, 2).tolist() == [True, True, True, False]
 
 
 @pytest.mark.parametrize(

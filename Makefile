@@ -46,7 +46,7 @@ audit: $(READY) ## ask the network for known findings in what is locked (needs p
 
 docs: $(READY) ## make the generated pages of docs/ again
 	$(VENV)/bin/python -m gw_cli.reference docs/commands.md
-	$(GW) bench stability -o build/stability && cp build/stability/stability.md docs/stability.md
+	$(VENV)/bin/python -m tests.benchmarks.stability -o build/stability && cp build/stability/stability.md docs/stability.md
 
 release-check: $(READY) ## build wheel and source archive, install into an empty environment, use it outside
 	$(VENV)/bin/python -m pytest tests/release -m "long or not long" --timeout 3600

@@ -41,13 +41,6 @@ def register(app: typer.Typer) -> None:
         shape_removal: Annotated[
             str, typer.Option(help="exact | paper: whether joints move with the shape that is taken out.")
         ] = "exact",
-        compare: Annotated[
-            bool,
-            typer.Option(
-                "--compare",
-                help="Compare nearest, undiffused and diffused weights; writes only SUBJECT/compare.",
-            ),
-        ] = False,
         preset: Preset = "draft",
         force: Force = False,
         dry_run: DryRun = False,
@@ -85,12 +78,6 @@ def register(app: typer.Typer) -> None:
 
         if dry_run:
             console.plan(stage.plan(subject, config))
-            return
-        if compare:
-            from stages.canonicalize import compare as comparison
-
-            compared = comparison.run(subject, subject / "compare", config, console)
-            console.result({"path": compared.path, **compared.summary})
             return
         result = stage.run(subject, config, console, force)
         console.result(result.summary, next_command=f"gw segment-layers {subject}")

@@ -1,4 +1,4 @@
-"""`gw bench`: what it costs and what it is worth. One module per subcommand, each with `register(bench)`."""
+"""`gw bench`: measurements on a user's own data. One module per subcommand, with `register(bench)`."""
 
 from __future__ import annotations
 
@@ -8,28 +8,22 @@ import typer
 
 # Modules of this package; the order is the one `gw bench --help` shows.
 SUBCOMMANDS: tuple[str, ...] = (
-    "splat",
-    "step",
-    "economy",
-    "tryon",
-    "precision",
-    "stability",
     "playback",
     "tradeoff",
     "paper",
     "curves",
-    "templates",
-    "scale",
 )
 
 
 def register(app: typer.Typer) -> None:
-    bench = typer.Typer(help="Measure speed, memory and accuracy.", no_args_is_help=True)
+    bench = typer.Typer(
+        help="Measure the trade of speed for accuracy, and methods against each other.", no_args_is_help=True
+    )
     app.add_typer(bench, name="bench")
 
     @bench.callback()
     def group() -> None:
-        """Measure speed, memory and accuracy: of this machine, a subject, a capture, or the method."""
+        """Measure the trade of speed for accuracy on a capture, and methods against each other."""
 
     for name in SUBCOMMANDS:
         importlib.import_module(f"gw_cli.bench.{name}").register(bench)

@@ -55,8 +55,8 @@ def register(bench: typer.Typer) -> None:
     ) -> None:
         """Measure the trade of speed for accuracy on one capture, and draw its front.
 
-        For every pitch the subject is trained once; it, blendshapes distilled from it, and few
-        blendshapes are then played, scored and weighed. `gw tryon --tradeoff FOLDER --fps 25` or
+        For every pitch the subject is trained once; it and blendshapes
+        distilled from it are then played, scored and weighed. `gw tryon --tradeoff FOLDER --fps 25` or
         `--quality 0.3` choose among the points.
         """
         from stages.bench_tradeoff.config import TRAINED_BLENDSHAPES, BenchTradeoffConfig

@@ -20,7 +20,7 @@ class Decoder:
 
 
 AS_TRAINED = Decoder("as trained", None)
-DECODERS = (AS_TRAINED, Decoder("blendshapes", (32, 12, 8)), Decoder("few blendshapes", (4, 1, 1)))
+DECODERS = (AS_TRAINED, Decoder("blendshapes", (32, 12, 8)))
 TRAINED_BLENDSHAPES = Decoder("trained blendshapes", (24, 8, 4), trained=True)
 
 

@@ -42,8 +42,8 @@ class CommandFailed(GwError):
         self.exit_code = exit_code
 
 
-def run_command(*arguments: str | Path, folder: Path | None = None) -> Outcome:
-    """Run `gw` with these arguments and `--json`, in `folder` if one is given.
+def run_command(*arguments: str | Path, folder: Path | None = None, module: str = "gw_cli") -> Outcome:
+    """Run `gw` (or another module) with these arguments and `--json`, in `folder` if one is given.
 
     Raises:
         CommandFailed: the command failed.
@@ -52,7 +52,7 @@ def run_command(*arguments: str | Path, folder: Path | None = None) -> Outcome:
     started = time.monotonic()
     with tempfile.TemporaryFile("w+") as stdout, tempfile.TemporaryFile("w+") as stderr:
         process = subprocess.Popen(
-            [sys.executable, "-m", "gw_cli", *words, "--json"], stdout=stdout, stderr=stderr, cwd=folder
+            [sys.executable, "-m", module, *words, "--json"], stdout=stdout, stderr=stderr, cwd=folder
         )
         # wait4 and not wait: it gives the peak memory of this one child.
         _, status, usage = os.wait4(process.pid, 0)

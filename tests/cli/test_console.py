@@ -78,7 +78,7 @@ def test_a_command_line_that_cannot_be_read_gets_three_lines(words: str, says: s
 
 def test_a_group_without_a_command_shows_its_help() -> None:
     outcome = CliRunner().invoke(gw, ["bench"], prog_name="gw")
-    assert outcome.exit_code == 2 and "splat" in outcome.output and "error:" not in outcome.output
+    assert outcome.exit_code == 2 and "tradeoff" in outcome.output and "error:" not in outcome.output
 
 
 def test_a_bug_leaves_a_report_with_the_traceback() -> None:

@@ -42,7 +42,6 @@ REFUSED = """
 65 canonicalize file -o out
 2 canonicalize subject --spread zz
 2 canonicalize subject -o out
-66 canonicalize nowhere --compare
 66 segment-layers nowhere
 65 segment-layers file
 2 segment-layers subject --labels zz

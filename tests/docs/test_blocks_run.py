@@ -25,14 +25,14 @@ DOCS = REPOSITORY / "docs"
 # Run elsewhere: by which test.
 ELSEWHERE = {
     "make": "each of its targets is a line of .ci/run, or one `gw` call",
+    "python": "tests/benchmarks has a test of every benchmark",
     "torchrun": "tests/stages/train/test_distributed.py starts the processes",
     "snakemake": "tests/stages/workflow/test_snakefile.py plans and runs the emitted file",
 }
 PLANNED = ("train", "bench curves", "bench tradeoff", "view")  # --dry-run here
 # Not on tubes: they need the artifacts of every stage, or the true meshes of a simulated capture.
 WHOLE_CHAIN = (
-    "register-template", "canonicalize", "segment-layers", "bake-maps", "bench scale", "bench economy",
-    "--true-meshes",
+    "register-template", "canonicalize", "segment-layers", "bake-maps", "--true-meshes",
 )  # fmt: skip
 SHORT = {
     "register-template": "--preset tiny",
@@ -42,7 +42,6 @@ SHORT = {
     "train": "--preset tiny --minutes 0 --steps 3",
     "bench curves": "--preset tiny --minutes 0.02 --points 1 --cameras 1",
     "bench tradeoff": "--preset tiny --minutes 0.1 --pitches 25 --size 32",
-    "bench economy": "--preset tiny --steps 1 --frames 2",
     "view": "--dry-run",  # serves until it is interrupted: tests/stages/view opens it in a browser
 }
 TAKES = ("train", "held_out")  # of a synthetic person

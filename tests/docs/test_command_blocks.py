@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 import shlex
 from typing import Any
@@ -26,6 +27,7 @@ STANDS_FOR = {
 }
 
 
+BENCHMARK = "tests.benchmarks.NAME"  # stands for any of them
 LINES = [
     pytest.param(line, whole, id=f"{page.name}: {line[:60]}")
     for page in PAGES
@@ -44,14 +46,21 @@ def understood(line: str, whole: bool = True) -> None:
         program = next((word for word in ("gw", "gw_cli") if word in words[:6]), None)
         if program:
             words = words[words.index(program) + 1 :]
-            understood_by_gw([word for word in words if word not in ("…", "...")], whole)
+            understood_by([word for word in words if word not in ("…", "...")], whole, app)
+        elif words[:2] == ["python", "-m"] and words[2] != BENCHMARK:
+            module = (
+                words[2]
+                if (REPOSITORY / f"{words[2].replace('.', '/')}.py").is_file()
+                else f"{words[2]}.__main__"
+            )
+            understood_by(words[3:], whole, importlib.import_module(module).app)
         elif words[:1] == ["make"]:
             targets = re.findall(r"^([a-z-]+):", (REPOSITORY / "Makefile").read_text(), re.MULTILINE)
             assert all(word in targets for word in words[1:] if re.fullmatch(r"[a-z-]+", word)), line
 
 
-def understood_by_gw(words: list[str], whole: bool) -> None:
-    command: Any = typer.main.get_command(app)
+def understood_by(words: list[str], whole: bool, program: typer.Typer) -> None:
+    command: Any = typer.main.get_command(program)
     while hasattr(command, "commands"):
         if not words or words[0].startswith("-"):
             return

@@ -13,9 +13,9 @@ import pytest
 
 import stages.shared.losses
 from stages.shared.errors import BadData
-from stages.stability.function import Function
-from stages.stability.functions import FUNCTIONS
-from stages.stability.measure import evaluate, inputs_of, measure, precisions
+from tests.benchmarks.stability.function import Function
+from tests.benchmarks.stability.functions import FUNCTIONS
+from tests.benchmarks.stability.measure import evaluate, inputs_of, measure, precisions
 
 SIZES = [
     pytest.param(

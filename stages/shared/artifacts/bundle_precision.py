@@ -1,6 +1,7 @@
 """Which tensors of a bundle are kept with 16 bits: those where it costs nothing that can be seen.
 
-Positions, spacings, indices and the body model keep 32 bits. `gw bench precision` measures the rest.
+Positions, spacings, indices and the body model keep 32 bits.
+`tests/benchmarks/precision.py` measures the rest.
 """
 
 from __future__ import annotations

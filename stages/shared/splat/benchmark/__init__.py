@@ -1,1 +1,0 @@
-"""Measures the splatting backends: `gw bench splat`."""

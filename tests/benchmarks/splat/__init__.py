@@ -1,0 +1,1 @@
+"""Measures the splatting backends: `python -m tests.benchmarks.splat`."""

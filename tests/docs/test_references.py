@@ -167,9 +167,16 @@ def test_links_lead_somewhere(page: Path) -> None:
 
 
 def test_every_page_can_be_found_from_the_readme() -> None:
-    readme = (REPOSITORY / "README.md").read_text()
-    for page in (REPOSITORY / "docs").glob("*.md"):
-        assert f"docs/{page.name}" in readme, page.name
+    """By following links from page to page."""
+    reached: set[Path] = set()
+    following = [REPOSITORY / "README.md"]
+    while following:
+        page = following.pop()
+        reached.add(page)
+        targets = re.findall(r"\]\(([^)#]+\.md)", page.read_text())
+        paths = {(page.parent / target).resolve() for target in targets if "://" not in target}
+        following += [path for path in paths if path not in reached and path.is_file()]
+    assert {page.name for page in (REPOSITORY / "docs").glob("*.md")} <= {path.name for path in reached}
 
 
 def test_troubleshooting_knows_what_the_program_says() -> None:

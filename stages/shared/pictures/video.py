@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 from stages.shared.errors import BadData, UsageProblem
 
+_BT709 = 1  # primaries, transfer and matrix by ITU-T H.273
+_LIMITED_RANGE = 1  # "tv": black is 16, white 235
 VIDEOS = ("auto", "h264", "vp9", "none")
 
 
@@ -90,6 +92,12 @@ class VideoWriter:
         even = np.pad(picture, ((0, picture.shape[0] % 2), (0, picture.shape[1] % 2), (0, 0)), mode="edge")
         layout = "rgba" if self.transparent else "rgb24"
         frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(even), format=layout)
+        # What players take for granted from 720 lines on. The stream says it too, so that all show the same.
+        frame = frame.reformat(
+            format=self._stream.pix_fmt,
+            dst_colorspace=av.video.reformatter.Colorspace.ITU709,
+            dst_color_range=av.video.reformatter.ColorRange.MPEG,
+        )
         for packet in self._stream.encode(frame):
             self._container.mux(packet)
 
@@ -109,8 +117,11 @@ class VideoWriter:
         self._stream = self._container.add_stream("libx264" if mp4 else "libvpx-vp9", rate=rate)
         self._stream.width, self._stream.height = width + width % 2, height + height % 2
         self._stream.pix_fmt = "yuva420p" if self.transparent else "yuv420p"
+        context = self._stream.codec_context
+        context.color_primaries = context.color_trc = context.colorspace = _BT709
+        context.color_range = _LIMITED_RANGE
         # Threads off: the same frames give the same bytes.
-        self._stream.codec_context.thread_count = 1
+        context.thread_count = 1
         quality = {"crf": "20", "preset": "medium"} if mp4 else {"crf": "30", "b": "0", "deadline": "good"}
         if self.transparent:
             quality["auto-alt-ref"] = "0"  # libvpx cannot look ahead with alpha

@@ -36,6 +36,7 @@ from stages.shared.outfit.parallel_frames import parallel_frames, threads_restor
 from stages.shared.outfit.render_image import render_image
 from stages.shared.outfit.visibility_culling import LEAST_PICTURES, find_hidden_texels
 from stages.shared.pictures.parts import RECORDS, Share
+from stages.shared.render_sequence.estimate import frames_at_a_time
 from stages.shared.render_sequence.files import (
     picture_name,
     write_exports,
@@ -43,7 +44,7 @@ from stages.shared.render_sequence.files import (
     write_sheet,
     write_video,
 )
-from stages.shared.render_sequence.outputs import SequenceFrame, SequenceOutputs, SequenceSummary
+from stages.shared.render_sequence.outputs import SequenceFrame, SequenceOutputs, SequenceSummary, video_rate
 from stages.shared.report import Report
 
 
@@ -78,7 +79,8 @@ def write_frames(
         )
     frames_of_share = share.of(frames)
     missing = [frame for frame in frames_of_share if not _record(folder, frame.row).exists()]
-    at_a_time = max(1, min(torch.get_num_threads(), len(missing)))
+    threads = min(torch.get_num_threads(), len(missing))
+    at_a_time = frames_at_a_time(threads, missing, len(outfit.names), outputs)
 
     def work(player: CachedPoser, frame: SequenceFrame) -> None:
         counts = _write_frame(folder, player, poses, frame, outputs)
@@ -102,12 +104,12 @@ def assemble(
     summary = SequenceSummary()
     for frame in frames:
         summary.add(SequenceSummary(**json.loads(_record(folder, frame.row).read_bytes())))
-    started = time.perf_counter()
+    started, rate = time.perf_counter(), video_rate(poses.fps, frames)
     for kind in outputs.exports:
-        more = {"layers": list(outfit.names), "frames_per_second": poses.fps, "gaussians": outfit.gaussians}
+        more = {"layers": list(outfit.names), "frames_per_second": rate, "gaussians": outfit.gaussians}
         write_notes(folder / kind / NOTES_NAME, kind, "world, posed", **more)
     if outputs.pictures:
-        summary.video = write_video(folder, poses.fps, frames, outputs)
+        summary.video = write_video(folder, rate, frames, outputs)
         write_sheet(folder, frames, outputs)
     summary.clock("film", started)
     return summary

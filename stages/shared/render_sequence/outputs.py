@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -92,6 +94,16 @@ class SequenceSummary:
             "frames_per_second": round(self.pictures / self.wall, 2) if self.wall else None,
             "seconds": {name: round(value, 3) for name, value in self.seconds.items()},
         }
+
+
+def video_rate(fps: float, frames: Sequence[SequenceFrame]) -> float:
+    """Frames per second at which the frames show the motion at its own speed.
+
+    Arguments:
+        fps: of the motion. frames: rows of it; of every second row, the rate is half.
+    """
+    steps = sorted(abs(after.row - before.row) for before, after in itertools.pairwise(frames))
+    return fps / max(1, steps[len(steps) // 2]) if steps else fps
 
 
 def check_passes(passes: tuple[str, ...]) -> None:

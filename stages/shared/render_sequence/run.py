@@ -29,8 +29,9 @@ from stages.shared.pictures.parts import finish, parse_share, part_folder
 from stages.shared.pictures.video import chosen_suffix
 from stages.shared.plan import Plan
 from stages.shared.render_sequence.config import RenderConfig
+from stages.shared.render_sequence.estimate import memory_bytes, require_frame
 from stages.shared.render_sequence.frames import assemble, write_frames
-from stages.shared.render_sequence.outputs import SequenceOutputs, SequenceSummary, check_passes
+from stages.shared.render_sequence.outputs import SequenceOutputs, SequenceSummary, check_passes, video_rate
 from stages.shared.render_sequence.sequence import RenderSequence, open_sequence
 from stages.shared.report import SILENT, Report
 from stages.shared.splat.settings import SplatSettings
@@ -86,6 +87,7 @@ def run(
     sequence = open_sequence(sources, poses_path, cameras_path, config, report)
     outfit, poses, frames = sequence.outfit, sequence.poses, sequence.frames
     report.say(f"{' < '.join(outfit.names)}: {outfit.gaussians} Gaussians, {len(frames)} frames")
+    require_frame(share.of(frames), outfit.gaussians, len(outfit.names), outputs)
     report.step("rendering")
     with part_folder(output, sequence.key(config), share) as folder:
         kept = write_frames(folder, outfit, poses, frames, outputs, report, share)
@@ -126,7 +128,7 @@ def plan(
         outputs=[str(output / name) for name in (*names, RESULT_NAME)],
         config={**asdict(config), "layers": list(sequence.outfit.names)},
         seconds=3.0 + len(cameras) * (0.05 + 3e-6 * count) + 5e-7 * pixels,
-        memory_bytes=600_000_000 + 3000 * count + 200 * pixels // max(len(cameras), 1),
+        memory_bytes=memory_bytes(frames, count, len(sequence.outfit.names), outputs),
         disk_bytes=int(pixels * 0.4) + export_bytes,
     )
 
@@ -188,7 +190,7 @@ def _result(
     return {
         "format": command.mark,
         "version": 1,
-        "fps": sequence.poses.fps,
+        "fps": video_rate(sequence.poses.fps, sequence.frames),
         "frames": [frame.row for frame in sequence.frames],
         "passes": list(outputs.passes),
         "exports": list(outputs.exports),

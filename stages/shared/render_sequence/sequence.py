@@ -24,7 +24,7 @@ from stages.shared.render_sequence.config import CANONICAL, RenderConfig
 from stages.shared.render_sequence.outputs import SequenceFrame
 from stages.shared.report import SILENT, Report
 
-_CODE_VERSION = 3  # raised when the same inputs give other files
+_CODE_VERSION = 4  # raised when the same inputs give other files
 _STILL_FRAMES = 90  # of the canonical pose, for a camera that moves around it
 
 

@@ -86,6 +86,9 @@ def register(app: typer.Typer) -> None:
         passes: Passes = "",
         video: Annotated[str, typer.Option(help="auto | h264 | vp9 | none.")] = "auto",
         export: Annotated[str, typer.Option(help="Also write every frame's Gaussians: ply,spz,glb.")] = "",
+        up: Annotated[
+            str, typer.Option(help="Axis that points up in exports: auto (-y in ply, else y) | y | -y.")
+        ] = "auto",
         pictures: Annotated[bool, typer.Option(help="Write pictures and film, or exports only.")] = True,
         shard: Shard = "",
         swap: Swap = True,
@@ -147,6 +150,7 @@ def register(app: typer.Typer) -> None:
             passes=names(passes),
             video=video,
             exports=names(export),
+            up=up,
             pictures=pictures,
             shard=shard,
             swap=swap,

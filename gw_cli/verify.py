@@ -12,6 +12,8 @@ from gw_cli.completion import artifacts
 from gw_cli.console import Console, command
 from gw_cli.options import Json
 
+_OTHER_SPLATS = (".splat", ".ksplat", ".sog", ".spx", ".lcc")
+
 
 def register(app: typer.Typer) -> None:
     @app.command("verify")
@@ -52,6 +54,12 @@ def register(app: typer.Typer) -> None:
 
             console.result({"splats": str(path), **splat_facts(path), "damaged": []})
             return
+        if path.suffix.lower() in _OTHER_SPLATS and path.is_file():
+            raise BadData(
+                f"Splat files of the kind {path.suffix} are not read.",
+                str(path),
+                f"Convert it: splat-transform {path.name} {path.stem}.ply",
+            )
         found = verify_workspace(Workspace(path))
         for damage in found.damaged:
             console.warn(f"{damage.path}: {damage.what}")

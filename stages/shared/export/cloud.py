@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -27,6 +29,20 @@ def cloud_of(composite: Gaussians) -> SplatCloud:
         colors=composite.features[:, :3].float().numpy(),
         layers=composite.layer_ids.numpy().astype(np.uint8),
     )
+
+
+def turned_over(cloud: SplatCloud) -> SplatCloud:
+    """The cloud turned by 180 degrees about x: from y up and z towards the viewer to y down and z away.
+
+    That is the convention of 3D Gaussian splatting (its cameras come from COLMAP), which viewers of .ply
+    files expect; .spz and glTF have y up.
+    """
+    if cloud.harmonics is not None:
+        raise ValueError("view-dependent colours are not turned")
+    w, x, y, z = cloud.quats.T
+    quats = np.column_stack([-x, w, -z, y])  # (0, 1, 0, 0) times the quaternion
+    quats[quats[:, 0] < 0] *= -1
+    return replace(cloud, means=cloud.means * np.float32([1, -1, -1]), quats=quats)
 
 
 def principal_axes(

@@ -10,9 +10,13 @@ from stages.shared.artifacts.canonical import readable_json
 
 NOTES_NAME = "export_notes.json"
 
+_AXES = {
+    "y": "right-handed, +y up, the person faces +z, its left hand is on +x",
+    "-y": "right-handed, +y down as in 3D Gaussian splatting, the person faces -z, its left hand is on +x",
+}
 _COMMON: dict[str, Any] = {
     "unit": "metre",
-    "axes": "right-handed, +y up, the person faces +z, its left hand is on +x",
+    "axes": _AXES["y"],
     "color_space": "sRGB, display-referred (IEC 61966-2-1); blended as it is, without linearisation",
     "harmonics_degree": 0,
     "blur_px2": 0.3,
@@ -24,8 +28,6 @@ _COMMON: dict[str, Any] = {
 _FORMATS: dict[str, dict[str, Any]] = {
     "ply": {
         "layout": "3D Gaussian splatting: f_dc = (colour - 0.5) / 0.28209, opacity logit, log scale, wxyz",
-        "viewers": "viewers that take y for down (SuperSplat) show it upside down: "
-        "turn by 180 degrees about x",
         "loss": "none beyond float32",
     },
     "spz": {
@@ -42,6 +44,11 @@ _FORMATS: dict[str, dict[str, Any]] = {
         "loss": "weights beyond the 8 largest are left out",
     },
 }
+
+
+def axes_text(up: str) -> str:
+    """What the axes of a file mean whose `up` is "y" or "-y"."""
+    return _AXES[up]
 
 
 def write_notes(path: Path, kind: str, frame: str, **more: Any) -> None:

@@ -14,6 +14,7 @@ from stages.shared.export.spz import read_spz, write_spz
 from stages.shared.splat.ply import SplatCloud, read_splat_ply, write_splat_ply
 
 SPLAT_FORMATS = ("ply", "spz", "glb")
+UPS = ("auto", "y", "-y")
 _READERS: dict[str, Callable[[Path], SplatCloud]] = {
     "ply": read_splat_ply,
     "spz": read_spz,
@@ -30,6 +31,25 @@ def check_formats(names: tuple[str, ...], option: str) -> None:
             option,
             "Choose of: " + ", ".join(SPLAT_FORMATS) + ".",
         )
+
+
+def up_of(kind: str, up: str = "auto") -> str:
+    """The axis that points up in a file: "y" or "-y".
+
+    Arguments:
+        kind: of `SPLAT_FORMATS`. up: of `UPS`; "auto" is what viewers of that format expect.
+
+    Raises UsageProblem for another word, and for a glTF whose y does not point up: the standard asks for it.
+    """
+    if up not in UPS:
+        raise UsageProblem(
+            f"There is no axis {up!r} for up.", "option --up", "Choose " + ", ".join(UPS) + "."
+        )
+    if up == "-y" and kind == "glb":
+        raise UsageProblem(
+            "In glTF y always points up.", "option --up", "Leave out --up, or export ply, spz."
+        )
+    return ("-y" if kind == "ply" else "y") if up == "auto" else up
 
 
 def write_splats(path: Path, cloud: SplatCloud, layers: tuple[str, ...] = ()) -> None:

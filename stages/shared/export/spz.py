@@ -69,9 +69,22 @@ def read_spz(path: Path) -> SplatCloud:
         packed = path.read_bytes()
     except FileNotFoundError:
         raise MissingInput("There is no such file.", str(path), "Check the path.") from None
+    if packed[:4] == struct.pack("<I", MAGIC):  # version 4 and later are not one gzip stream
+        version = struct.unpack_from("<I", packed.ljust(8, b"\0"), 4)[0]
+        raise BadData(
+            f"This is .spz of version {version}; versions 2 and 3 are read.",
+            str(path),
+            "Save it as version 3, or as .ply, with the program that wrote it.",
+        )
     data = _unzipped(packed, path)
     magic, version, count, _, bits, _, _ = _HEADER.unpack_from(data)
-    if magic != MAGIC or version not in (2, 3) or bits > 24:
+    if magic == MAGIC and version not in (2, 3):
+        raise BadData(
+            f"This is .spz of version {version}; versions 2 and 3 are read.",
+            str(path),
+            "Save it as version 3, or as .ply, with the program that wrote it.",
+        )
+    if magic != MAGIC or bits > 24:
         raise _refused(f"its header says {magic:#x}, version {version}, {bits} bits", path)
     turned_bytes = 4 if version == 3 else 3
     if len(data) < _HEADER.size + count * (_BYTES - 4 + turned_bytes):

@@ -41,6 +41,7 @@ class RenderConfig:
     passes: tuple[str, ...] = option((), "Also write: labels,depth,layers.")
     video: str = option("auto", "auto | h264 | vp9 | none.")
     exports: tuple[str, ...] = option((), "Also write every frame's Gaussians: ply,spz,glb.", flag="--export")
+    up: str = option("auto", "Axis that points up in exports: auto (-y in ply, y in spz and glb) | y | -y.")
     pictures: bool = option(True, "Write pictures and video, or exports only.")
     swap: bool = option(
         True, "Under a garment, give the body the offsets and rotations of the garment's source."

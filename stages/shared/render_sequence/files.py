@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from stages.shared.artifacts.files import make_folders, write_file
 from stages.shared.artifacts.pictures import encode_png
 from stages.shared.capture.camera import Camera
-from stages.shared.export.cloud import cloud_of
-from stages.shared.export.splats import write_splats
+from stages.shared.export.cloud import cloud_of, turned_over
+from stages.shared.export.splats import up_of, write_splats
 from stages.shared.outfit.render_image import RenderedImage, straight_alpha, to_bytes
 from stages.shared.pictures.sheet import chosen, contact_sheet, shrunk
 from stages.shared.pictures.video import VideoWriter, chosen_suffix
@@ -39,11 +39,14 @@ def write_passes(folder: Path, shot: RenderedImage, name: str, passes: tuple[str
         write_file(folder / path, data)
 
 
-def write_exports(folder: Path, composite: Gaussians, row: int, kinds: tuple[str, ...]) -> None:
-    """One moment's Gaussians in every splat format of `kinds`."""
+def write_exports(
+    folder: Path, composite: Gaussians, row: int, kinds: tuple[str, ...], up: str = "auto"
+) -> None:
+    """One moment's Gaussians in every splat format of `kinds`; `up` as `up_of` takes it."""
     cloud = cloud_of(composite)
     for kind in kinds:
-        write_splats(folder / kind / f"frame{row:06d}.{kind}", cloud, composite.layers)
+        upright = cloud if up_of(kind, up) == "y" else turned_over(cloud)
+        write_splats(folder / kind / f"frame{row:06d}.{kind}", upright, composite.layers)
 
 
 def write_video(

@@ -29,7 +29,8 @@ from stages.shared.artifacts.canonical import canonical_json
 from stages.shared.artifacts.files import write_whole
 from stages.shared.body import Poses
 from stages.shared.errors import UsageProblem
-from stages.shared.export.notes import NOTES_NAME, write_notes
+from stages.shared.export.notes import NOTES_NAME, axes_text, write_notes
+from stages.shared.export.splats import up_of
 from stages.shared.outfit.cached_poser import CachedPoser
 from stages.shared.outfit.outfit import Outfit
 from stages.shared.outfit.parallel_frames import parallel_frames, threads_restored
@@ -107,7 +108,8 @@ def assemble(
     started, rate = time.perf_counter(), video_rate(poses.fps, frames)
     for kind in outputs.exports:
         more = {"layers": list(outfit.names), "frames_per_second": rate, "gaussians": outfit.gaussians}
-        write_notes(folder / kind / NOTES_NAME, kind, "world, posed", **more)
+        axes = axes_text(up_of(kind, outputs.up))
+        write_notes(folder / kind / NOTES_NAME, kind, "world, posed", axes=axes, **more)
     if outputs.pictures:
         summary.video = write_video(folder, rate, frames, outputs)
         write_sheet(folder, frames, outputs)
@@ -136,7 +138,7 @@ def _write_frame(
     counts.clock("pose", started)
     if outputs.exports:
         started = time.perf_counter()
-        write_exports(folder, composite, frame.row, outputs.exports)
+        write_exports(folder, composite, frame.row, outputs.exports, outputs.up)
         counts.clock("export", started)
     for camera in frame.cameras if outputs.pictures else ():
         started = time.perf_counter()

@@ -35,7 +35,8 @@ class SequenceOutputs:
         penetration: tolerances of the penetration pass, None to leave it out.
         video_name: name of the video without its suffix. video: of `VIDEOS`.
         camera_folders: one folder per camera, as a capture has them.
-        exports: splat formats in which every frame's Gaussians are written.
+        exports: splat formats in which every frame's Gaussians are written. up: their axis that points up,
+            of `stages.shared.export.splats.UPS`.
         pictures: whether pictures are written, or exports only.
         cull: leave out hidden body Gaussians (`stages/shared/outfit/visibility_culling.py`) in a sequence
             that is long enough for that to pay; never where the body alone is shown or exported.
@@ -49,6 +50,7 @@ class SequenceOutputs:
     video: str = "auto"
     camera_folders: bool = False
     exports: tuple[str, ...] = ()
+    up: str = "auto"
     pictures: bool = True
     cull: bool = True
     splatting: SplatSettings = field(default_factory=SplatSettings)

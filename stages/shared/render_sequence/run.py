@@ -21,7 +21,7 @@ from typing import Any
 from stages.shared.artifacts.canonical import plain, readable_json
 from stages.shared.artifacts.files import write_whole
 from stages.shared.errors import UsageProblem
-from stages.shared.export.splats import check_formats
+from stages.shared.export.splats import check_formats, up_of
 from stages.shared.outfit.penetration import TRYON_MARGINS, PenetrationConfig
 from stages.shared.pictures.background import read_background
 from stages.shared.pictures.folder import check_output
@@ -141,6 +141,8 @@ def _outputs(
     if not math.isfinite(config.turns):
         raise UsageProblem("That is no number of turns.", "option --turns", "Give a number, as 1 or -0.5.")
     check_formats(config.exports, "option --export")
+    for kind in config.exports or ("ply",):
+        up_of(kind, config.up)
     passes = config.passes
     if from_capture and "labels" not in passes:
         passes = ("labels", *passes)  # `gw evaluate --frames` compares them with the capture's
@@ -155,6 +157,7 @@ def _outputs(
         video=config.video,
         camera_folders=from_capture,
         exports=config.exports,
+        up=config.up,
         pictures=config.pictures,
         cull=config.cull,
         splatting=SplatSettings(alpha_min=config.alpha_min, transmittance_min=config.transmittance_min),

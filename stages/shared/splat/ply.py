@@ -176,6 +176,12 @@ def _table(data: bytes, path: Path) -> NDArray[np.void]:
             if element:
                 break  # what follows the vertices is not read
             element, count = words[1], int(words[2])
+            if element == "chunk" and b"packed_position" in data[:end]:
+                raise BadData(
+                    "This is a compressed PLY of PlayCanvas and SuperSplat, which is not read.",
+                    os.fspath(path),
+                    "Save it uncompressed there, or run: splat-transform FILE.compressed.ply FILE.ply",
+                )
             if element != "vertex":
                 raise _refused(f"its first element is {element!r}, not vertex", path)
         elif words[0] == "property":

@@ -249,3 +249,29 @@ def test_verify_looks_at_splat_files(posed, tmp_path: Path) -> None:
     (tmp_path / "a.glb").write_bytes(glb)
     with pytest.raises(BadData, match="means of Gaussian 0"):
         splat_facts(tmp_path / "a.glb")
+
+
+COMPRESSED_PLY = (
+    b"ply\nformat binary_little_endian 1.0\nelement chunk 1\nproperty float min_x\nelement vertex 3\n"
+    b"property uint packed_position\nproperty uint packed_rotation\nend_header\n"
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "says"),
+    [
+        ("a.ply", COMPRESSED_PLY + bytes(60), "compressed PLY"),
+        ("b.ply", COMPRESSED_PLY.replace(b"chunk 1", b"chunk 9000"), "splat-transform"),
+        ("a.spz", struct.pack("<II", 0x5053474E, 4) + bytes(60), "version 4"),
+        ("b.spz", struct.pack("<II", 0x5053474E, 5), "version 5"),
+        ("c.spz", _spz(1, 20, version=4), "version 4"),
+        ("d.spz", _spz(1, 20, version=1), "version 1"),
+    ],
+)
+def test_neighbouring_formats_are_named_with_their_cure(
+    name: str, content: bytes, says: str, tmp_path: Path
+) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(BadData) as caught:
+        read_splats(tmp_path / name)
+    assert says in caught.value.what + caught.value.fix and "Save it" in caught.value.fix

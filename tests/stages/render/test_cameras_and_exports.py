@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 from pathlib import Path
 
@@ -9,6 +10,8 @@ import av
 import cv2
 import numpy as np
 import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from gw_cli.app import app
@@ -115,7 +118,44 @@ def test_exports_are_the_posed_gaussians(wardrobe: Path, tmp_path: Path) -> None
         assert notes["frame"].startswith("world") and notes["layers"] == ["body", "upper"]
         wanted = outfit("body", "upper").composite(motion(), 3).means.numpy()
         found = read_splats(folder / f"frame000003.{kind}").means
-        np.testing.assert_allclose(found, wanted, atol=loss)
+        assert ("+y down" in notes["axes"]) == (kind == "ply")
+        turned = np.array([1, -1, -1] if kind == "ply" else [1, 1, 1])
+        np.testing.assert_allclose(found * turned, wanted, atol=loss)
+
+
+@pytest.mark.parametrize(
+    ("up", "kind", "down"), [("auto", "ply", True), ("y", "ply", False), ("-y", "spz", True)]
+)
+def test_exports_stand_upright_by_the_convention_that_is_asked_for(
+    up: str, kind: str, down: bool, wardrobe: Path, tmp_path: Path
+) -> None:
+    """Checked by another reader: the body's head is its end with smaller y where y points down."""
+    config = RenderConfig(frames="0:1", exports=(kind,), pictures=False, up=up)
+    stage.run([wardrobe / "body.gwg"], wardrobe / "motion.npz", None, tmp_path / "out", config)
+    path = tmp_path / f"out/{kind}/frame000000.{kind}"
+    if kind == "ply":
+        vertices = trimesh.load(path, process=False).vertices
+    else:  # the fixed-point positions by hand
+        data = gzip.decompress(path.read_bytes())
+        count, bits = int.from_bytes(data[8:12], "little"), data[13]
+        triples = np.frombuffer(data, np.uint8, 9 * count, 16).reshape(count, 3, 3).astype(np.int64)
+        whole = triples @ [1, 1 << 8, 1 << 16]
+        vertices = np.where(whole >= 1 << 23, whole - (1 << 24), whole) / (1 << bits)
+    composite = outfit("body").composite(motion(), 0)
+    true, sign = composite.means.numpy(), -1 if down else 1
+    np.testing.assert_allclose(vertices, true * [1, sign, sign], atol=1e-3)
+    cloud = read_splats(path)
+    axes = Rotation.from_quat(cloud.quats[:, [1, 2, 3, 0]]).as_matrix() * cloud.scales[:, None]
+    turn = np.diag([1.0, sign, sign])
+    expected = turn @ composite.covariances.numpy() @ turn
+    np.testing.assert_allclose(axes @ axes.transpose(0, 2, 1), expected, atol=2e-6 if kind == "ply" else 2e-5)
+
+
+def test_gltf_always_has_y_up(wardrobe: Path, tmp_path: Path) -> None:
+    for up, kinds in (("-y", ("glb",)), ("z", ("ply",))):
+        config = RenderConfig(frames="0:1", exports=kinds, pictures=False, up=up)
+        with pytest.raises(UsageProblem, match="up"):
+            stage.run([wardrobe / "body.gwg"], wardrobe / "motion.npz", None, tmp_path / "out", config)
 
 
 def test_the_canonical_pose(wardrobe: Path, tmp_path: Path) -> None:
@@ -124,7 +164,9 @@ def test_the_canonical_pose(wardrobe: Path, tmp_path: Path) -> None:
     result = stage.run([wardrobe / "body.gwg"], Path("canonical"), None, tmp_path / "out", config)
     assert result.summary["pictures"] == 1 and result.summary["video"] is None
     found = read_splats(tmp_path / "out/ply/frame000000.ply").means
-    np.testing.assert_allclose(found, outfit("body").layers[0].maps.positions.numpy(), atol=1e-5)
+    np.testing.assert_allclose(
+        found * [1, -1, -1], outfit("body").layers[0].maps.positions.numpy(), atol=1e-5
+    )
 
 
 def test_films_of_every_kind(wardrobe: Path, tmp_path: Path) -> None:
@@ -193,7 +235,9 @@ def test_a_taller_wearer_keeps_the_floor(wardrobe: Path, tmp_path: Path) -> None
     """Shape 0 of the body model lengthens legs: the hips rise with it, and with --no-ground they do not."""
     heights = {}
     for ground in (True, False):
-        config = RenderConfig(exports=("ply",), pictures=False, betas="4", ground=ground, frames="2:3")
+        config = RenderConfig(
+            exports=("ply",), up="y", pictures=False, betas="4", ground=ground, frames="2:3"
+        )
         out = tmp_path / str(ground)
         stage.run([wardrobe / "body.gwg"], wardrobe / "motion.npz", None, out, config)
         heights[ground] = read_splats(out / "ply/frame000002.ply").means[:, 1].mean()

@@ -42,7 +42,7 @@ def turned_over(cloud: SplatCloud) -> SplatCloud:
     w, x, y, z = cloud.quats.T
     quats = np.column_stack([-x, w, -z, y])  # (0, 1, 0, 0) times the quaternion
     quats[quats[:, 0] < 0] *= -1
-    return replace(cloud, means=cloud.means * np.float32([1, -1, -1]), quats=quats)
+    return replace(cloud, means=cloud.means * np.array([1, -1, -1], np.float32), quats=quats)
 
 
 def principal_axes(

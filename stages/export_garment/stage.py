@@ -24,6 +24,7 @@ from stages.pipeline import SEGMENT_LAYERS
 from stages.shared.artifacts import Workspace
 from stages.shared.artifacts.bundle import Bundle, write_bundle
 from stages.shared.artifacts.bundle_precision import PRECISIONS, halved
+from stages.shared.avatar.decoders.base import Decoder
 from stages.shared.avatar.decoders.cost import costs
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.body import BodyModel, Poses
@@ -197,6 +198,13 @@ def _layers(source: TrainedSubject) -> list[str]:
     return [name for name in source.layers if name in LAYERS]
 
 
+def _unobserved(model: Decoder) -> dict[str, float]:
+    """The share of texels that no training picture showed, whose fabric was filled in; {} for none."""
+    if model.all_observed:
+        return {}
+    return {"unobserved_share": round(float((model.observed < 1).float().mean()), 4)}
+
+
 def _manifest(
     config: ExportGarmentConfig, layer: WornLayer, source: TrainedSubject, body_digest: str
 ) -> dict[str, Any]:
@@ -216,5 +224,6 @@ def _manifest(
             "scores": source.trained.summary,
         },
         "costs": costs(layer.model),
+        **_unobserved(layer.model),
         "note": config.note,
     }

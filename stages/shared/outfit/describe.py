@@ -44,6 +44,7 @@ def describe(card: BundleCard) -> dict[str, Any]:
         "body_model": manifest["body_model"]["digest"],
         "carries_body_beneath": "swap/texels" in card.tensors,
         "carries_bare_skin": "skin/covered" in card.tensors,
+        "unobserved_share": manifest.get("unobserved_share", 0.0),
         "converts_to_other_body_models": "joints" in card.tensors,
         "source": str(manifest["training"].get("source", "")),
         "scores": {name: scores[name] for name in _SCORES if isinstance(scores.get(name), int | float)},

@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from stages.shared.avatar.compose import compose
+from stages.shared.avatar.covering_discs import covering_discs
 from stages.shared.avatar.decoders.base import Decoder
 from stages.shared.avatar.deform import PosedGaussians, pose_layer
 from stages.shared.avatar.fabric_fill import continue_fabric
@@ -68,19 +69,26 @@ def observed_texels(
 
 
 def fill_unobserved(model: Decoder) -> None:
-    """Give the unobserved texels of a trained garment the fabric, size and opacity of the observed ones."""
+    """Give the unobserved texels of a trained garment its fabric, as discs that leave no gaps."""
     observed = model.observed >= 1
     parameters = model.base_parameters()
     if not parameters or bool(observed.all()) or not bool(observed.any()):
         return
     with torch.no_grad():
-        color, sigmoid = parameters["color"], model.model_config.color == "sigmoid"
-        plain = torch.sigmoid(color) if sigmoid else color
-        filled = continue_fabric(model.maps, plain, observed.cpu().numpy())
-        color[~observed] = (torch.logit(filled.clamp(0.02, 0.98)) if sigmoid else filled)[~observed]
-        for name in ("opacity", "scale"):
-            values = parameters[name]
-            values[~observed] = values[observed].median(dim=0).values
+        sigmoid = model.model_config.color == "sigmoid"
+        color = parameters["color"]
+        fabric = continue_fabric(
+            model.maps, torch.sigmoid(color) if sigmoid else color, observed.cpu().numpy()
+        )
+        quaternions, scales, opacities = covering_discs(model.maps)
+        values = {
+            "color": torch.logit(fabric.clamp(0.02, 0.98)) if sigmoid else fabric,
+            "quaternion": quaternions,
+            "scale": scales.log(),
+            "opacity": torch.logit(opacities),
+        }
+        for name, value in values.items():
+            parameters[name][~observed] = value[~observed].to(parameters[name])
 
 
 def _majority(chosen: Tensor, neighbours: Tensor) -> Tensor:

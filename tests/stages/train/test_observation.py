@@ -6,6 +6,7 @@ import numpy as np
 import torch
 
 from stages.shared.avatar.config import ModelConfig
+from stages.shared.avatar.covering_discs import covering_discs
 from stages.shared.avatar.decoders.registry import new_decoder
 from stages.shared.avatar.pose import FramePose
 from stages.shared.capture import Camera
@@ -57,7 +58,7 @@ def test_without_the_vest_all_of_the_shirt_is_observed() -> None:
     assert observed(models)["upper"].numpy().mean() > 0.9
 
 
-def test_unobserved_texels_take_fabric_size_and_opacity_of_the_observed() -> None:
+def test_unobserved_texels_become_discs_of_the_fabric_without_gaps() -> None:
     models = shirt_under_vest()
     shirt = models["upper"]
     seen = observed(models)["upper"]
@@ -72,8 +73,9 @@ def test_unobserved_texels_take_fabric_size_and_opacity_of_the_observed() -> Non
     fabric = torch.sigmoid(before["color"])[seen].unique(dim=0)
     nearest = torch.cdist(colors[~seen], fabric).min(dim=1).values
     assert float(nearest.detach().max()) < 0.02, "only colours that the fabric has"
-    expected = before["scale"][seen].median(dim=0).values
-    torch.testing.assert_close(parameters["scale"][~seen], expected.expand(int((~seen).sum()), 3))
-    assert float(parameters["opacity"][~seen].max()) < 3.0
+    quaternions, scales, opacities = covering_discs(shirt.maps)  # type: ignore[attr-defined]
+    torch.testing.assert_close(parameters["scale"][~seen].exp(), scales[~seen])
+    torch.testing.assert_close(parameters["quaternion"][~seen], quaternions[~seen])
+    torch.testing.assert_close(torch.sigmoid(parameters["opacity"][~seen]), opacities[~seen])
     for name, values in parameters.items():
         torch.testing.assert_close(values[seen], before[name][seen], rtol=0, atol=0)

@@ -11,7 +11,7 @@ import pytest
 
 from stages.shared import memory
 from stages.shared.errors import UsageProblem
-from stages.shared.outfit.viewpoints import look_at
+from stages.shared.outfit.viewpoints import look_at_camera
 from stages.shared.pictures.video import VideoWriter
 from stages.shared.render_sequence import estimate
 from stages.shared.render_sequence.outputs import SequenceFrame, SequenceOutputs, video_rate
@@ -53,7 +53,7 @@ def test_transparent_films_are_tagged_too(tmp_path: Path) -> None:
 
 
 def _frames(rows: list[int], size: int = 64) -> list[SequenceFrame]:
-    camera = look_at("c", np.zeros(3), 0.0, (1, 1, 1), (size, size))
+    camera = look_at_camera("c", np.zeros(3), 0.0, (1, 1, 1), (size, size))
     return [SequenceFrame(row, (camera,)) for row in rows]
 
 

@@ -37,7 +37,7 @@ def write_animation(path: Path, frames: list[NDArray[np.uint8]], milliseconds: i
     """An endless animated WebP of frames (H, W, 3) u8 sRGB."""
     animation = cv2.Animation()
     animation.frames = [np.ascontiguousarray(frame[..., ::-1]) for frame in frames]
-    animation.durations = np.full(len(frames), milliseconds, np.int32)
+    animation.durations = [milliseconds] * len(frames)
     if not cv2.imwriteanimation(str(path), animation, [cv2.IMWRITE_WEBP_QUALITY, QUALITY]):
         raise OSError(f"OpenCV cannot write {path}")
 
@@ -51,6 +51,8 @@ def main(
     frames = list(film_frames(demo / "tryon" / "tryon.mp4", HEIGHT, EVERY))
     write_animation(output / "tryon.webp", frames, round(1000 * EVERY / 30))
     sheet = cv2.imread(str(demo / "outfits" / "outfits.png"))
+    if sheet is None:
+        raise OSError(f"{demo} has no sheet of outfits")
     scale = min(1.0, 1600 / sheet.shape[1])
     smaller = cv2.resize(sheet, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     cv2.imwrite(str(output / "demo_outfits.jpg"), smaller, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])

@@ -33,14 +33,14 @@ def register(app: typer.Typer) -> None:
         `index.html` in the output folder with its pictures, scores and timings. Steps that are done
         are not run again.
         """
-        from stages.demo.config import DemoConfig
         from stages.shared.device import check_device
+        from stages.workflows.demo.config import DemoConfig
 
         console = Console(as_json)
         check_device(device)
         config = DemoConfig(preset=preset, seed=seed, train_minutes=minutes, device=device)
 
-        from stages.demo import stage
+        from stages.workflows.demo import stage
 
         if dry_run:
             console.plan(stage.plan(output, config))

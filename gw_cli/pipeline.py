@@ -36,7 +36,7 @@ def register(app: typer.Typer) -> None:
         from stages.pipeline import PIPELINE
         from stages.shared.artifacts import write_whole
         from stages.shared.errors import UsageProblem
-        from stages.workflow.snakefile import snakefile, subjects
+        from stages.workflows.snakefile import snakefile, subjects
 
         console = Console(as_json)
         if emit is None:

@@ -193,8 +193,8 @@ def _only(tradeoff: Path | None, bundles: list[Path] | None, wardrobe: Path | No
 
 def _operating_point(folder: Path, fps: float, quality: str) -> tuple[list[Path], dict[str, Any]]:
     """The bundles of the point that is asked for, and what to say about it."""
-    from stages.bench_tradeoff.front import chosen_point, given_up
-    from stages.bench_tradeoff.stage import bundles_of, read_points
+    from stages.workflows.tradeoff.front import chosen_point, given_up
+    from stages.workflows.tradeoff.stage import bundles_of, read_points
 
     points = read_points(folder)
     point = chosen_point(points, fps, _decibels(quality) if quality else None)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -43,9 +43,10 @@ def register(bench: typer.Typer) -> None:
         Scores leave out the first test frame, often the pose of the template. What is evaluated already is
         not done again.
         """
-        from stages.bench_paper.tables import markdown, tables
         from stages.evaluate.config import EvaluateConfig
         from stages.shared.artifacts.files import make_folders, write_whole
+        from stages.workflows.paper.rows import own_rows
+        from stages.workflows.paper.tables import markdown, tables
 
         console = Console(as_json)
         config = EvaluateConfig(
@@ -59,7 +60,7 @@ def register(bench: typer.Typer) -> None:
         rows = [
             row
             for subject in subjects
-            for row in _rows(subject, output / subject.resolve().name, config, console, perceptual_weights)
+            for row in own_rows(subject, output / subject.resolve().name, config, console, perceptual_weights)
         ]
         found = tables(rows)
         text = markdown(found)
@@ -70,47 +71,3 @@ def register(bench: typer.Typer) -> None:
             console.result({"path": output, **found})
         else:
             typer.echo(text)
-
-
-def _rows(subject: Path, folder: Path, config: Any, console: Console, weights: Path | None) -> list[Any]:
-    """Evaluate every training of a subject that is not evaluated yet."""
-    from dataclasses import replace
-
-    from stages.bench_paper.tables import OwnRow
-    from stages.bench_paper.trainings import method_of, trainings, without_of
-    from stages.evaluate import stage
-    from stages.shared.artifacts import Workspace
-
-    rows = []
-    for artifact in trainings(Workspace(subject)):
-        method, without = method_of(artifact), without_of(artifact)
-        console.say(f"{subject.name}: {method}" + (f" without {', '.join(without)}" if without else ""))
-        own = replace(config, training=artifact.key)
-        place = folder / artifact.key[:12]
-        summary = _evaluated(place, own, weights)
-        if summary is None:
-            summary = stage.run(subject, place, own, console, weights).summary
-        seconds = artifact.run.get("training_seconds")
-        scores: dict[str, dict[str, float | None]] = {}
-        for name in ("novel_pose", "novel_view"):
-            if name in summary:
-                scores[name] = summary[name].get("trained_without_first", summary[name]["trained"])
-        minutes = seconds / 60 if seconds is not None else None
-        steps, budget = artifact.summary.get("steps"), artifact.manifest.config.get("minutes")
-        name = subject.resolve().name
-        rows.append(OwnRow(name, artifact.key, method, without, minutes, steps, scores, budget))
-    return rows
-
-
-def _evaluated(place: Path, config: Any, weights: Path | None) -> dict[str, Any] | None:
-    """What an earlier run with the same settings wrote."""
-    from stages.shared.artifacts.canonical import plain
-    from stages.shared.artifacts.external import file_digest
-
-    try:
-        content = json.loads((place / "evaluation.json").read_bytes())
-    except (OSError, ValueError):
-        return None
-    same = content.get("config") == plain(config)
-    same = same and content.get("perceptual_digest") == (file_digest(weights) if weights else None)
-    return content if same else None

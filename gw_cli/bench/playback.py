@@ -31,9 +31,9 @@ def register(bench: typer.Typer) -> None:
         The rate is that of frames side by side, one per core; the split is of one frame by itself. Bundles
         made with `gw export-garment --distilled` are the fast ones.
         """
-        from stages.bench_playback import stage
-        from stages.bench_playback.config import BenchPlaybackConfig
+        from stages.workflows import playback as stage
+        from stages.workflows.playback import PlaybackConfig
 
         console = Console(as_json)
-        config = BenchPlaybackConfig(frames=frames, size=size, camera=camera, threads=threads, cull=cull)
+        config = PlaybackConfig(frames=frames, size=size, camera=camera, threads=threads, cull=cull)
         console.result(stage.run(bundles, poses, config, console).summary)

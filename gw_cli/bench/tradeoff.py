@@ -15,7 +15,7 @@ from gw_cli.options import DryRun, Json, Preset, Seed, names
 from stages.shared.errors import UsageProblem
 
 if TYPE_CHECKING:
-    from stages.bench_tradeoff.config import Training
+    from stages.workflows.tradeoff.config import Training
 
 
 def register(bench: typer.Typer) -> None:
@@ -59,7 +59,7 @@ def register(bench: typer.Typer) -> None:
         distilled from it are then played, scored and weighed. `gw tryon --tradeoff FOLDER --fps 25` or
         `--quality 0.3` choose among the points.
         """
-        from stages.bench_tradeoff.config import TRAINED_BLENDSHAPES, BenchTradeoffConfig
+        from stages.workflows.tradeoff.config import TRAINED_BLENDSHAPES, BenchTradeoffConfig
 
         console = Console(as_json)
         config = BenchTradeoffConfig(minutes=minutes, preset=preset, size=size, seed=seed)
@@ -72,7 +72,7 @@ def register(bench: typer.Typer) -> None:
         check_exists(capture)
         check_exists(body_model, "body model")
 
-        from stages.bench_tradeoff import stage
+        from stages.workflows.tradeoff import stage
 
         if dry_run:
             console.plan(stage.plan(capture, output, config, body_model))
@@ -82,7 +82,7 @@ def register(bench: typer.Typer) -> None:
 
 
 def _trainings(text: str) -> tuple[Training, ...]:
-    from stages.bench_tradeoff.config import Training
+    from stages.workflows.tradeoff.config import Training
 
     found = []
     for part in names(text):

@@ -27,7 +27,7 @@ ELSEWHERE = {
     "make": "each of its targets is a line of .ci/run, or one `gw` call",
     "python": "tests/benchmarks has a test of every benchmark",
     "torchrun": "tests/stages/train/test_distributed.py starts the processes",
-    "snakemake": "tests/stages/workflow/test_snakefile.py plans and runs the emitted file",
+    "snakemake": "tests/stages/workflows/test_snakefile.py plans and runs the emitted file",
 }
 PLANNED = ("train", "bench curves", "bench tradeoff", "view")  # --dry-run here
 # Not on tubes: they need the artifacts of every stage, or the true meshes of a simulated capture.

@@ -11,12 +11,12 @@ import numpy as np
 from typer.testing import CliRunner
 
 from gw_cli.app import app
-from stages.bench_tradeoff.config import BenchTradeoffConfig
-from stages.bench_tradeoff.front import OperatingPoint
-from stages.bench_tradeoff.stage import write_results
 from stages.pipeline import TRAIN
 from stages.shared.artifacts import Workspace
 from stages.shared.body import Poses
+from stages.workflows.tradeoff.config import BenchTradeoffConfig
+from stages.workflows.tradeoff.front import OperatingPoint
+from stages.workflows.tradeoff.stage import write_results
 from tests.docs.pages import REPOSITORY, blocks
 from tests.shared.poses.test_bvh import motion as bvh_motion
 from tests.shared.poses.test_bvh import write as write_bvh

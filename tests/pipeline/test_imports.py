@@ -13,6 +13,7 @@ import pytest
 REPOSITORY = Path(__file__).resolve().parents[2]
 SOURCES = sorted(path for package in ("gw_cli", "stages") for path in (REPOSITORY / package).rglob("*.py"))
 QUARANTINE = "stages.shared.capture.quarantine"  # its child process admits plain arrays and containers only
+WORKFLOWS = "stages.workflows"  # the one folder that may import several stages
 HEAVY = {"torch", "open3d", "pymeshlab", "igl", "cv2", "numba", "scipy", "trimesh", "gsplat", "av", "anny"}
 HELP_MODULES = 430  # `gw --help` loads 380: Python, typer, rich and the modules of the commands
 ONE_DOOR = ("open3d", "pymeshlab", "gsplat")
@@ -61,8 +62,8 @@ def arrows() -> set[tuple[str, str]]:
 
 
 def stage_packages() -> set[str]:
-    """Every folder of `stages` but `shared`, with or without a stage.py."""
-    folders = {layer(name) for name in TREES if name.startswith("stages.")} - {"stages.pipeline"}
+    """Every folder of `stages` but `shared` and `workflows`, with or without a stage.py."""
+    folders = {layer(name) for name in TREES if name.startswith("stages.")} - {"stages.pipeline", WORKFLOWS}
     return {name for name in folders if not name.startswith("stages.shared")}
 
 
@@ -88,7 +89,7 @@ def running(tree: ast.Module) -> ast.Module:
 
 def test_the_sources_are_there() -> None:
     assert len(TREES) > 50
-    assert {"stages.canonicalize", "stages.train", "stages.workflow"} <= stage_packages()
+    assert {"stages.canonicalize", "stages.train", "stages.evaluate"} <= stage_packages()
     assert not any("shared" in name for name in stage_packages())
 
 
@@ -99,6 +100,10 @@ def test_only_the_command_line_knows_the_command_line() -> None:
 def test_no_stage_imports_another() -> None:
     stages = stage_packages()
     assert [arrow for arrow in arrows() if arrow[0] in stages and arrow[1] in stages] == []
+
+
+def test_only_the_command_line_imports_workflows() -> None:
+    assert {upper for upper, lower in arrows() if lower == WORKFLOWS} <= {"gw_cli"}
 
 
 def test_what_is_shared_imports_no_stage() -> None:

@@ -12,9 +12,9 @@ import pytest
 from typer.testing import CliRunner
 
 from gw_cli.app import app
-from stages.bench_tradeoff.config import BenchTradeoffConfig
-from stages.bench_tradeoff.front import OperatingPoint
-from stages.bench_tradeoff.stage import write_results
+from stages.workflows.tradeoff.config import BenchTradeoffConfig
+from stages.workflows.tradeoff.front import OperatingPoint
+from stages.workflows.tradeoff.stage import write_results
 
 BEST = OperatingPoint("best", 6.5, "networks", 900, 17.0, 0.84, 0.9, 0.5, {
     "psnr_foreground": 13.0, "ssim_foreground": 0.7, "miou": 0.8, "sharpness": 0.5,

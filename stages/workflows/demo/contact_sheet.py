@@ -7,8 +7,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from stages.demo.recipe import DemoOutcome
 from stages.shared.artifacts import write_whole
+from stages.workflows.demo.recipe import DemoOutcome
 
 _CELL_WIDTH, _CELL_HEIGHT, _CAPTION = 480, 360, 28
 _COLUMNS = 4

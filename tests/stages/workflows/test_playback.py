@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from stages.bench_playback import stage
-from stages.bench_playback.config import BenchPlaybackConfig
 from stages.shared.artifacts.bundle import write_bundle
 from stages.shared.errors import UsageProblem
+from stages.workflows import playback as stage
+from stages.workflows.playback import PlaybackConfig
 from tests.shared.outfit.wardrobe import bundle, motion, worn
 
 
@@ -23,7 +23,7 @@ def outfit(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Path], Path]:
 
 
 def test_times_add_up(outfit: tuple[list[Path], Path]) -> None:
-    config = BenchPlaybackConfig(frames=4, size=48, plain_frames=1, threads=2)
+    config = PlaybackConfig(frames=4, size=48, plain_frames=1, threads=2)
     found = stage.run(*outfit, config).summary
     split = found["milliseconds"]
     one = 1000 / (split["pose"] + split["picture"])
@@ -35,4 +35,4 @@ def test_times_add_up(outfit: tuple[list[Path], Path]) -> None:
 
 def test_nothing_to_play_is_refused(outfit: tuple[list[Path], Path]) -> None:
     with pytest.raises(UsageProblem):
-        stage.run(*outfit, BenchPlaybackConfig(frames=0))
+        stage.run(*outfit, PlaybackConfig(frames=0))

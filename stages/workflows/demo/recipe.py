@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from stages.demo.config import DemoConfig
+from stages.workflows.demo.config import DemoConfig
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,6 @@ import pytest
 from typer.testing import CliRunner
 
 from gw_cli.app import app
-from stages.bench_paper.trainings import method_of, trainings
 from stages.evaluate.beside import comparison_sheet, shown_frames
 from stages.evaluate.curves import CurveFile, curve_figure
 from stages.evaluate.figure import COLORS, Curve, Panel, figure, growing_ticks, ticks
@@ -26,6 +25,7 @@ from stages.shared.artifacts import Workspace
 from stages.shared.outfit.outfit import Outfit
 from stages.train import stage
 from stages.train.watch import Watch
+from stages.workflows.paper.trainings import method_of, trainings
 from tests.stages.train.scene import make_subject, tiny
 
 

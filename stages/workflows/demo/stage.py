@@ -16,15 +16,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from stages.demo.config import DemoConfig
-from stages.demo.page import write_page
-from stages.demo.recipe import DemoOutcome, DemoStep, steps
 from stages.shared.artifacts import write_whole
 from stages.shared.artifacts.files import make_folders
 from stages.shared.commands import run_command
 from stages.shared.plan import Plan
 from stages.shared.report import SILENT, Report
 from stages.shared.targets import check_folder_target
+from stages.workflows.demo.config import DemoConfig
+from stages.workflows.demo.page import write_page
+from stages.workflows.demo.recipe import DemoOutcome, DemoStep, steps
 
 # Fields of a result that tell about this run and not about what it made.
 _PASSING = ("seconds", "peak_bytes", "reused")

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stages.bench_tradeoff.config import BenchTradeoffConfig
-from stages.bench_tradeoff.figure import markdown, tradeoff_page, tradeoff_picture
-from stages.bench_tradeoff.front import OperatingPoint, fast_enough, given_up, good_enough, on_front
-from stages.bench_tradeoff.stage import RESULT_NAME, read_points, write_results
 from stages.shared.errors import BadData, MissingInput
+from stages.workflows.tradeoff.config import BenchTradeoffConfig
+from stages.workflows.tradeoff.figure import markdown, tradeoff_page, tradeoff_picture
+from stages.workflows.tradeoff.front import OperatingPoint, fast_enough, given_up, good_enough, on_front
+from stages.workflows.tradeoff.stage import RESULT_NAME, read_points, write_results
 
 POSE = {"psnr_foreground": 13.0, "ssim_foreground": 0.7, "miou": 0.8, "sharpness": 0.5}
 

@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 import pytest
 
-from stages.demo import stage
-from stages.demo.config import DemoConfig
-from stages.demo.page import write_page
-from stages.demo.recipe import DemoOutcome, DemoStep, steps
 from stages.shared.commands import CommandFailed
+from stages.workflows.demo import stage
+from stages.workflows.demo.config import DemoConfig
+from stages.workflows.demo.page import write_page
+from stages.workflows.demo.recipe import DemoOutcome, DemoStep, steps
 
 
 @pytest.fixture

@@ -21,7 +21,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from stages.bench_playback.config import BenchPlaybackConfig
 from stages.shared.body import Poses
 from stages.shared.capture import Camera
 from stages.shared.errors import UsageProblem
@@ -42,7 +41,28 @@ _WARM_FRAMES = 3  # compilation, first touch of memory
 
 
 @dataclass(frozen=True)
-class BenchPlaybackResult:
+class PlaybackConfig:
+    """What is played.
+
+    Attributes:
+        frames: frames that are timed, evenly spread over the motion and played in order.
+        size: pixels, width and height.
+        camera: static or orbit.
+        plain_frames: frames of the plain way (`Outfit.composite`), for comparison.
+        cull: leave out body Gaussians that nobody can see; found before the clock starts.
+        threads: frames at a time; 0 for as many as torch uses threads.
+    """
+
+    frames: int = 60
+    size: int = 512
+    camera: str = "static"
+    plain_frames: int = 5
+    threads: int = 0
+    cull: bool = True
+
+
+@dataclass(frozen=True)
+class PlaybackResult:
     """Times, and what was played."""
 
     summary: dict[str, Any]
@@ -51,9 +71,9 @@ class BenchPlaybackResult:
 def run(
     bundles: Sequence[Path],
     poses_path: Path,
-    config: BenchPlaybackConfig = BenchPlaybackConfig(),
+    config: PlaybackConfig = PlaybackConfig(),
     report: Report = SILENT,
-) -> BenchPlaybackResult:
+) -> PlaybackResult:
     """Play an outfit and time it.
 
     Raises:
@@ -88,7 +108,7 @@ def run(
         "milliseconds": {name: round(value, 2) for name, value in split.items()},
         "penetration_share": round(max(0.0, split["picture"] - split["picture_without_pass"]) / one, 3),
     }
-    return BenchPlaybackResult(summary)
+    return PlaybackResult(summary)
 
 
 def _split(outfit: Outfit, poses: Poses, frames: list[tuple[int, Camera]], hidden: Mask) -> dict[str, float]:

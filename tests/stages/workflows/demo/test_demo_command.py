@@ -10,8 +10,8 @@ import pytest
 from typer.testing import CliRunner
 
 from gw_cli.app import app
-from stages.demo import stage
-from stages.demo.stage import DemoResult
+from stages.workflows.demo import stage
+from stages.workflows.demo.stage import DemoResult
 
 SCORES: dict[str, Any] = {
     "evaluate subject_1": {

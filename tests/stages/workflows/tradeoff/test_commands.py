@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from stages.bench_tradeoff import stage
-from stages.bench_tradeoff.config import DECODERS, TRAINED_BLENDSHAPES, BenchTradeoffConfig, Training
-from stages.bench_tradeoff.stage import read_points
 from stages.shared.commands import Outcome
+from stages.workflows.tradeoff import stage
+from stages.workflows.tradeoff.config import DECODERS, TRAINED_BLENDSHAPES, BenchTradeoffConfig, Training
+from stages.workflows.tradeoff.stage import read_points
 
 SCORES = {"psnr_foreground": 15.0, "ssim_foreground": 0.8, "miou": 0.9, "sharpness": 0.5}
 

@@ -17,9 +17,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from stages.bench_tradeoff.config import AS_TRAINED, BenchTradeoffConfig, Decoder, Training
-from stages.bench_tradeoff.figure import markdown, tradeoff_page, tradeoff_picture
-from stages.bench_tradeoff.front import OperatingPoint, on_front
 from stages.shared.artifacts import write_whole
 from stages.shared.artifacts.canonical import readable_json
 from stages.shared.artifacts.pictures import encode_png
@@ -29,6 +26,9 @@ from stages.shared.input_files import read_json_object
 from stages.shared.plan import Plan
 from stages.shared.report import SILENT, Report
 from stages.shared.targets import check_folder_target
+from stages.workflows.tradeoff.config import AS_TRAINED, BenchTradeoffConfig, Decoder, Training
+from stages.workflows.tradeoff.figure import markdown, tradeoff_page, tradeoff_picture
+from stages.workflows.tradeoff.front import OperatingPoint, on_front
 
 RESULT_NAME = "tradeoff.json"
 _NO_LIMIT = 1_000_000  # steps; the minutes end a training

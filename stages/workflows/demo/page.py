@@ -11,10 +11,10 @@ import math
 from pathlib import Path
 from typing import Any
 
-from stages.demo.config import DemoConfig
-from stages.demo.contact_sheet import write_contact_sheet
-from stages.demo.recipe import DemoOutcome
 from stages.shared.artifacts import write_whole
+from stages.workflows.demo.config import DemoConfig
+from stages.workflows.demo.contact_sheet import write_contact_sheet
+from stages.workflows.demo.recipe import DemoOutcome
 
 _STYLE = """
 :root { color-scheme: light dark; --ink: #1c1c1e; --paper: #fbfaf7; --line: #d9d6cf; --soft: #6a6862; --code: #f0eee8 }

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.bench_tradeoff.front import OperatingPoint
+from stages.workflows.tradeoff.front import OperatingPoint
 
 _WIDTH, _HEIGHT, _MARGIN = 560, 400, 60
 _COLORS = ((27, 108, 168), (200, 85, 61), (58, 125, 68), (142, 94, 162))

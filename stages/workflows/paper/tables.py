@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from stages.bench_paper.published import ABLATION, METHODS, NOVEL_POSE, NOVEL_VIEW, PublishedRow
+from stages.workflows.paper.published import ABLATION, METHODS, NOVEL_POSE, NOVEL_VIEW, PublishedRow
 
 _PICTURES = ("psnr", "ssim", "lpips", "psnr_foreground", "ssim_foreground", "flip", "iou", "sharpness")
 _LABELS = ("miou", "recall", "f1")

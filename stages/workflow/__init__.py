@@ -1,1 +1,0 @@
-"""Many subjects on many machines: the pipeline as a Snakefile, and what a large run would cost."""

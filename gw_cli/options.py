@@ -65,51 +65,15 @@ Shard = Annotated[
     str, typer.Option(metavar="I/N", help="Only the i-th of n parts of the frames, as 2/4; see below.")
 ]
 
-# What `gw tryon` and `gw render` share.
 FilmFolder = Annotated[Path, typer.Option("-o", "--output", help="Folder of film and frames.")]
 Betas = Annotated[str, typer.Option(help="Another body shape: up to ten numbers, 0.5,-1.2.")]
-Rows = Annotated[str, typer.Option(help="Only these rows of the motion, as a slice: 10:90:2.")]
 FrameRate = Annotated[float, typer.Option(min=0, help="Frames per second; 0 keeps the motion's own.")]
 Pixels = Annotated[int | None, typer.Option(min=16, max=8192, help="Pixels.")]
-Background = Annotated[
-    str,
-    typer.Option(help="Behind film and sheet: white | black | grey | #rrggbb | transparent | a PNG or JPEG."),
-]
-Passes = Annotated[str, typer.Option(help="Also write: labels,depth,layers.")]
 Distilled = Annotated[
     bool, typer.Option("--distilled", help="Use the blendshapes of `gw distill`, which play in real time.")
 ]
 Swap = Annotated[
     bool, typer.Option(help="Beneath a garment, give the body the form of the garment's source.")
-]
-Penetration = Annotated[
-    bool, typer.Option(help="Repair pixels where an inner layer pokes through a garment.")
-]
-Drive = Annotated[
-    str,
-    typer.Option(
-        help="What moves garments: auto | bones | learned | simulated; by layer: lower=bones,upper=learned."
-    ),
-]
-Push = Annotated[bool, typer.Option(help="Let garments give way where the body is larger.")]
-Restore = Annotated[bool, typer.Option(help="Let skin that clothes used to cover look like the skin around.")]
-Ground = Annotated[bool, typer.Option(help="Keep the feet on the floor when legs are longer or shorter.")]
-Cull = Annotated[
-    bool,
-    typer.Option(
-        help="Leave out body Gaussians that nobody can see beneath garments (films of 300 pictures on)."
-    ),
-]
-
-AlphaMin = Annotated[
-    float,
-    typer.Option(
-        min=1e-6, max=0.5, help="A Gaussian counts where its alpha reaches this; larger is faster, coarser."
-    ),
-]
-TransmittanceMin = Annotated[
-    float,
-    typer.Option(min=0, max=0.5, help="A pixel stops when less light than this comes from behind; as above."),
 ]
 
 

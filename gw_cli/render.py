@@ -3,48 +3,25 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from gw_cli.completion import artifacts
+from gw_cli.config_options import config_options
 from gw_cli.console import Console, command
 from gw_cli.inputs import check_exists, check_poses, check_sources
-from gw_cli.options import (
-    AlphaMin,
-    Background,
-    Betas,
-    Cull,
-    Distilled,
-    Drive,
-    DryRun,
-    FrameRate,
-    Ground,
-    Json,
-    Passes,
-    Penetration,
-    Pixels,
-    Preset,
-    Push,
-    Restore,
-    Rows,
-    Shard,
-    Swap,
-    TransmittanceMin,
-    names,
-    preset_config,
-    without_shard,
-)
+from gw_cli.options import DryRun, Json, without_shard
 from stages.shared.errors import UsageProblem
-from stages.shared.splat.settings import ALPHA_MIN, TRANSMITTANCE_MIN
+from stages.shared.render_sequence.config import PRESETS, RenderConfig
 from stages.shared.targets import check_file_target
 
 
 def register(app: typer.Typer) -> None:
     @app.command("render")
     @command
+    @config_options(PRESETS, "draft")
     def render(
         sources: Annotated[
             list[Path],
@@ -69,38 +46,7 @@ def register(app: typer.Typer) -> None:
             Path | None,
             typer.Option(help="Write one page that shows the first frame from all sides; alone unless -o."),
         ] = None,
-        camera: Annotated[
-            str,
-            typer.Option(help="static | orbit | PATH.json; with --cameras the name of one camera."),
-        ] = "",
-        turns: Annotated[float, typer.Option(help="How often orbit walks around.")] = 1.0,
-        take: Annotated[str, typer.Option(help="With --cameras: which take of the capture.")] = "",
-        distilled: Distilled = False,
-        layers: Annotated[str, typer.Option(help="Only these layers, e.g. body,lower.")] = "",
-        betas: Betas = "",
-        frames: Rows = "",
-        fps: FrameRate = 0.0,
-        width: Pixels = None,
-        height: Pixels = None,
-        background: Background = "white",
-        passes: Passes = "",
-        video: Annotated[str, typer.Option(help="auto | h264 | vp9 | none.")] = "auto",
-        export: Annotated[str, typer.Option(help="Also write every frame's Gaussians: ply,spz,glb.")] = "",
-        up: Annotated[
-            str, typer.Option(help="Axis that points up in exports: auto (-y in ply, else y) | y | -y.")
-        ] = "auto",
-        pictures: Annotated[bool, typer.Option(help="Write pictures and film, or exports only.")] = True,
-        shard: Shard = "",
-        swap: Swap = True,
-        push: Push = False,
-        restore: Restore = True,
-        drive: Drive = "auto",
-        penetration: Penetration = True,
-        ground: Ground = True,
-        cull: Cull = True,
-        alpha_min: AlphaMin = ALPHA_MIN,
-        transmittance_min: TransmittanceMin = TRANSMITTANCE_MIN,
-        preset: Preset = "draft",
+        config: RenderConfig = PRESETS["draft"],
         dry_run: DryRun = False,
         as_json: Json = False,
     ) -> None:
@@ -130,39 +76,7 @@ def register(app: typer.Typer) -> None:
         command with --shard 1/4 to --shard 4/4 into the same -o, and then once without --shard, which puts
         the parts together (and renders what is missing).
         """
-        from stages.shared.render_sequence.config import PRESETS
-
         console = Console(as_json)
-        base = preset_config(PRESETS, preset)
-        config = replace(
-            base,
-            betas=betas,
-            frames=frames,
-            fps=fps,
-            camera=camera,
-            turns=turns,
-            take=take,
-            width=width or base.width,
-            height=height or base.height,
-            background=background,
-            distilled=distilled,
-            layers=names(layers),
-            passes=names(passes),
-            video=video,
-            exports=names(export),
-            up=up,
-            pictures=pictures,
-            shard=shard,
-            swap=swap,
-            push=push,
-            restore=restore,
-            drive=drive,
-            penetration=penetration,
-            ground=ground,
-            cull=cull,
-            alpha_min=alpha_min,
-            transmittance_min=transmittance_min,
-        )
         check_sources(sources)
         check_poses([poses])
         check_exists(cameras)
@@ -172,7 +86,7 @@ def register(app: typer.Typer) -> None:
         from stages.render import page, stage
 
         if html is not None and output is None:
-            if shard:
+            if config.shard:
                 raise UsageProblem(
                     "One page has no parts.", "options --html, --shard", "Leave out --shard, or give -o too."
                 )

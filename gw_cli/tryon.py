@@ -11,40 +11,23 @@ from typing import Annotated, Any
 import typer
 
 from gw_cli import completion
+from gw_cli.config_options import config_options
 from gw_cli.console import Console, command
 from gw_cli.inputs import check_bundles, check_poses
-from gw_cli.options import (
-    AlphaMin,
-    Background,
-    Betas,
-    Cull,
-    Drive,
-    DryRun,
-    FilmFolder,
-    Ground,
-    Json,
-    Passes,
-    Penetration,
-    Pixels,
-    Preset,
-    Push,
-    Restore,
-    Rows,
-    Shard,
-    Swap,
-    TransmittanceMin,
-    names,
-    preset_config,
-    without_shard,
-)
+from gw_cli.options import DryRun, FilmFolder, Json, names, without_shard
 from stages.shared.errors import UsageProblem
-from stages.shared.splat.settings import ALPHA_MIN, TRANSMITTANCE_MIN
+from stages.shared.render_sequence.config import PRESETS, RenderConfig
 from stages.shared.targets import check_file_target
+
+_FPS_HELP = (
+    "Frames per second; 0 keeps the motion's own. With --tradeoff frames must also be rendered that fast."
+)
 
 
 def register(app: typer.Typer) -> None:
     @app.command("tryon")
     @command
+    @config_options(PRESETS, "draft", omit=("take", "distilled"), help={"fps": _FPS_HELP})
     def tryon(
         poses: Annotated[Path, typer.Option(help="The motion: npz of SMPL-X or AMASS, or BVH.")],
         bundles: Annotated[
@@ -80,32 +63,7 @@ def register(app: typer.Typer) -> None:
             ),
         ] = "",
         output: FilmFolder = Path("tryon"),
-        betas: Betas = "",
-        camera: Annotated[str, typer.Option(help="static | orbit.")] = "static",
-        frames: Rows = "",
-        fps: Annotated[
-            float,
-            typer.Option(
-                min=0,
-                help="Frames per second; 0 keeps the motion's own. With --tradeoff frames must also be made "
-                "that fast.",
-            ),
-        ] = 0.0,
-        width: Pixels = None,
-        height: Pixels = None,
-        background: Background = "white",
-        passes: Passes = "",
-        shard: Shard = "",
-        swap: Swap = True,
-        restore: Restore = True,
-        push: Push = False,
-        drive: Drive = "auto",
-        penetration: Penetration = True,
-        ground: Ground = True,
-        cull: Cull = True,
-        alpha_min: AlphaMin = ALPHA_MIN,
-        transmittance_min: TransmittanceMin = TRANSMITTANCE_MIN,
-        preset: Preset = "draft",
+        config: RenderConfig = PRESETS["draft"],
         dry_run: DryRun = False,
         as_json: Json = False,
     ) -> None:
@@ -123,38 +81,14 @@ def register(app: typer.Typer) -> None:
         A run that was killed goes on where it was. On many machines: the same command with --shard 1/4 to
         --shard 4/4 into the same -o, and then once without --shard, which puts the parts together.
         """
-        from stages.shared.render_sequence.config import PRESETS
-
         console = Console(as_json)
         chosen: dict[str, Any] = {}
         if tradeoff is not None or quality:
             _only(tradeoff, bundles, wardrobe, outfit)
-            bundles, chosen = _operating_point(tradeoff, fps, quality)  # type: ignore[arg-type]
+            bundles, chosen = _operating_point(tradeoff, config.fps, quality)  # type: ignore[arg-type]
             console.say(chosen["given_up"])
         bundles, file_betas = _bundles(bundles or [], wardrobe, outfit)
-        betas = betas or file_betas
-        base = preset_config(PRESETS, preset)
-        config = replace(
-            base,
-            betas=betas,
-            camera=camera,
-            frames=frames,
-            fps=fps,
-            width=width or base.width,
-            height=height or base.height,
-            background=background,
-            passes=names(passes),
-            shard=shard,
-            swap=swap,
-            push=push,
-            restore=restore,
-            drive=drive,
-            penetration=penetration,
-            ground=ground,
-            cull=cull,
-            alpha_min=alpha_min,
-            transmittance_min=transmittance_min,
-        )
+        config = replace(config, betas=config.betas or file_betas)
         if save_outfit is not None:
             check_file_target(save_outfit, "--save-outfit outfit.json")
         check_poses([poses])
@@ -166,7 +100,7 @@ def register(app: typer.Typer) -> None:
             console.plan(stage.plan(bundles, poses, output, config))
             return
         if save_outfit is not None:
-            _save(save_outfit, bundles, betas)
+            _save(save_outfit, bundles, config.betas)
         result = stage.run(bundles, poses, output, config, console)
         worn = " ".join(str(bundle) for bundle in bundles)
         following = f"gw render {worn} --poses {poses} --camera orbit -o render"

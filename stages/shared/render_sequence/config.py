@@ -23,7 +23,7 @@ class RenderConfig:
     betas: str = option("", "Another body shape: up to ten numbers, 0.5,-1.2.")
     frames: str = option("", "Only these rows of the motion, as a slice: 10:90:2.")
     fps: float = option(0.0, "Frames per second; 0 keeps the motion's own.", min=0)
-    camera: str = option("", "static | orbit | PATH.json; with --cameras the name of one camera.")
+    camera: str = option("", "static | orbit | PATH.json; with `gw render --cameras` the name of one camera.")
     turns: float = option(1.0, "How often orbit walks around; negative turns the other way.")
     take: str = option("", "With --cameras: which take of the capture.")
     width: int = option(480, "Pixels.", min=16, max=8192)

@@ -17,8 +17,8 @@ class EvaluateConfig:
             "novel-both" (test takes, held-out cameras).
         methods: "trained", "distilled" (its blendshapes), and "baseline": the layers' meshes with projected
             colours, moved by the bones.
-        frame_step: every so many-th frame of the training take for novel views.
-        test_frame_step: the same for test takes. cameras: at most so many of each frame; 0 for all.
+        frame_step: step between frames of the training take for novel views.
+        test_frame_step: the same for test takes. cameras: largest number per frame; 0 for all.
         training: beginning of the key of the training that is scored; "" for the one in use.
         pictures: side-by-side pictures per split.
         supersampling: rays per pixel and axis of the baseline's render.

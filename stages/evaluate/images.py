@@ -20,14 +20,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.evaluate.config import EvaluateConfig
-from stages.evaluate.gather import Gathered, ScoredView, pair_pieces
-from stages.evaluate.parts import (
-    evaluation_key,
-    gathered_rows,
-    part_summary,
-    score_pieces,
-)
 from stages.evaluate.result import MARK, RESULT_NAME, EvaluateResult, write_evaluation
+from stages.evaluate.score_table import ScoredView, ScoreTable, pair_items
+from stages.evaluate.sharding import (
+    collect_rows,
+    evaluation_key,
+    score_items,
+    shard_summary,
+)
 from stages.shared.capture.images import decode, read_bytes, read_mask
 from stages.shared.errors import BadData, MissingInput
 from stages.shared.losses.perceptual import Perceptual
@@ -59,18 +59,18 @@ def run(
     check_output(output, RESULT_NAME, MARK)
     pairs, covers = _opened(images, truth, masks)
     perceptual = Perceptual.load(perceptual_weights) if perceptual_weights else None
-    pieces = pair_pieces(
+    items = pair_items(
         _SPLIT, len(pairs), lambda index: _scored(pairs[index], covers, index), perceptual, config.pictures
     )
     files = [path for _, *both in pairs for path in both] + list((covers or {}).values())
     names = {"pictures": [name for name, *_ in pairs], "masks": list(covers or ())}
     report.step("scoring")
     with part_folder(output, evaluation_key(config, names, files, perceptual_weights), share) as folder:
-        kept = score_pieces(folder, pieces, share, report)
+        already_scored = score_items(folder, items, share, report)
         if not share.whole:
-            return EvaluateResult(output, part_summary(pieces, config.shard, kept), False)
-        rows = gathered_rows(folder, pieces)
-        summary: dict[str, Any] = {_SPLIT: Gathered(rows=rows[_SPLIT]).means()["images"]}
+            return EvaluateResult(output, shard_summary(items, config.shard, already_scored), False)
+        rows = collect_rows(folder, items)
+        summary: dict[str, Any] = {_SPLIT: ScoreTable(rows=rows[_SPLIT]).means()["images"]}
         summary["unmatched"] = len(set(pictures_of(images)) ^ set(pictures_of(truth)))
         summary["seconds"] = round(time.monotonic() - started, 1)
         write_evaluation(folder, config, summary, rows, perceptual_weights)

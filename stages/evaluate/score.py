@@ -6,9 +6,9 @@ import functools
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from stages.evaluate.gather import Gathered, comparison
 from stages.evaluate.methods import Method
-from stages.evaluate.parts import Piece, Row, replace_picture
+from stages.evaluate.score_table import ScoreTable, comparison
+from stages.evaluate.sharding import Row, WorkItem, replace_picture
 from stages.evaluate.views import FrameViews
 from stages.shared.artifacts.pictures import encode_png
 from stages.shared.losses.perceptual import Perceptual
@@ -26,32 +26,32 @@ def score_frame(
     for camera in frame.cameras:
         truth = frame.take.image(camera, frame.frame), frame.take.mask(camera, frame.frame)
         labels = frame.take.labels(camera, frame.frame)
-        pairs, gathered = {}, Gathered(perceptual)
+        pairs, table = {}, ScoreTable(perceptual)
         for kind, method in methods.items():
             picture, alpha, ids = method.render(frame.take.camera(camera))
             pairs[kind] = ViewPair(picture, alpha, *truth, ids, labels)
-            gathered.add(kind, frame.take.name, camera, frame.frame, frame.first, pairs[kind])
-        yield pairs, gathered.rows
+            table.add(kind, frame.take.name, camera, frame.frame, frame.first, pairs[kind])
+        yield pairs, table.rows
 
 
-def score_views(views: Sequence[FrameViews], methods: Mapping[str, Method], report: Report) -> Gathered:
+def score_views(views: Sequence[FrameViews], methods: Mapping[str, Method], report: Report) -> ScoreTable:
     """The scores of every view by every method."""
-    gathered = Gathered()
+    table = ScoreTable()
     for index, frame in enumerate(views):
         for _, rows in score_frame(frame, methods):
-            gathered.rows += rows
+            table.rows += rows
         report.progress(index + 1, len(views))
-    return gathered
+    return table
 
 
-def view_pieces(
+def view_items(
     split: str,
     views: Sequence[FrameViews],
     methods: Mapping[str, Method],
     perceptual: Perceptual | None,
     pictures: int,
-) -> list[Piece]:
-    """The frames of a split as pieces of work; `pictures` of them leave `<split>_<n>.png`."""
+) -> list[WorkItem]:
+    """The frames of a split as items of work; `pictures` of them leave `<split>_<n>.png`."""
     shown = chosen(len(views), pictures)
 
     def score(index: int, folder: Path) -> list[Row]:
@@ -64,4 +64,4 @@ def view_pieces(
                 replace_picture(folder / f"{split}_{shown.index(index)}.png", picture)
         return rows
 
-    return [Piece(split, functools.partial(score, index)) for index in range(len(views))]
+    return [WorkItem(split, functools.partial(score, index)) for index in range(len(views))]

@@ -20,11 +20,11 @@ from typing import Any
 
 from stages.evaluate.baseline import Baseline
 from stages.evaluate.config import METHODS, SPLITS, EvaluateConfig
-from stages.evaluate.gather import Gathered
 from stages.evaluate.methods import BaselineMethod, Method, TrainedMethod
-from stages.evaluate.parts import evaluation_key, gathered_rows, part_summary, score_pieces
 from stages.evaluate.result import MARK, RESULT_NAME, EvaluateResult, write_evaluation
-from stages.evaluate.score import view_pieces
+from stages.evaluate.score import view_items
+from stages.evaluate.score_table import ScoreTable
+from stages.evaluate.sharding import collect_rows, evaluation_key, score_items, shard_summary
 from stages.evaluate.vertices import posings_of, vertex_errors
 from stages.evaluate.views import FrameViews, views_by_split
 from stages.pipeline import BAKE_MAPS, DISTILL, REGISTER_TEMPLATE, SEGMENT_LAYERS, TRAIN
@@ -70,19 +70,19 @@ def run(
     opened = _open(subject, config, true_meshes)
     methods, training = _methods(opened, config)
     perceptual = Perceptual.load(perceptual_weights) if perceptual_weights else None
-    pieces = [
-        piece
+    items = [
+        item
         for split, views in opened.splits.items()
-        for piece in view_pieces(split, views, methods, perceptual, config.pictures)
+        for item in view_items(split, views, methods, perceptual, config.pictures)
     ]
     report.step("scoring")
     with part_folder(output, _key(opened, config, perceptual_weights), share) as folder:
-        kept = score_pieces(folder, pieces, share, report)
+        already_scored = score_items(folder, items, share, report)
         if not share.whole:
-            return EvaluateResult(output, part_summary(pieces, config.shard, kept), False)
-        rows = gathered_rows(folder, pieces)
+            return EvaluateResult(output, shard_summary(items, config.shard, already_scored), False)
+        rows = collect_rows(folder, items)
         summary: dict[str, Any] = {"training": training} if training else {}
-        summary |= {split: Gathered(rows=rows[split]).means() for split in opened.splits}
+        summary |= {split: ScoreTable(rows=rows[split]).means() for split in opened.splits}
         if opened.meshes:
             summary["vertex_error"] = _measured(folder, opened, methods, report)
         summary["seconds"] = round(time.monotonic() - started, 1)

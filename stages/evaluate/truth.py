@@ -18,14 +18,14 @@ import cv2
 import numpy as np
 
 from stages.evaluate.config import EvaluateConfig
-from stages.evaluate.gather import Gathered, ScoredView, pair_pieces
-from stages.evaluate.parts import (
-    evaluation_key,
-    gathered_rows,
-    part_summary,
-    score_pieces,
-)
 from stages.evaluate.result import MARK, RESULT_NAME, EvaluateResult, write_evaluation
+from stages.evaluate.score_table import ScoredView, ScoreTable, pair_items
+from stages.evaluate.sharding import (
+    collect_rows,
+    evaluation_key,
+    score_items,
+    shard_summary,
+)
 from stages.shared.capture import Take, open_capture
 from stages.shared.capture.images import decode, read_bytes
 from stages.shared.capture.labels import read_labels
@@ -65,16 +65,16 @@ def run(
         view = _pair(frames, take, camera, row)
         return ScoredView("tryon", take.name, camera, row, row == shown["frames"][0], view)
 
-    pieces = pair_pieces(_SPLIT, len(pairs), scored, perceptual, config.pictures)
+    items = pair_items(_SPLIT, len(pairs), scored, perceptual, config.pictures)
     files = [path for row, camera in pairs for path in _files(frames, take, camera, row)]
     report.step("scoring")
     key = evaluation_key(config, {"take": take.name, "pairs": pairs}, files, perceptual_weights)
     with part_folder(output, key, share) as folder:
-        kept = score_pieces(folder, pieces, share, report)
+        already_scored = score_items(folder, items, share, report)
         if not share.whole:
-            return EvaluateResult(output, part_summary(pieces, config.shard, kept), False)
-        rows = gathered_rows(folder, pieces)
-        means = Gathered(rows=rows[_SPLIT]).means()
+            return EvaluateResult(output, shard_summary(items, config.shard, already_scored), False)
+        rows = collect_rows(folder, items)
+        means = ScoreTable(rows=rows[_SPLIT]).means()
         summary: dict[str, Any] = {_SPLIT: means["tryon"]}
         if "tryon_without_first" in means:
             summary[f"{_SPLIT}_without_first"] = means["tryon_without_first"]
@@ -150,7 +150,7 @@ def _rendered(frames: Path) -> dict[str, Any]:
 
 
 def _pair(frames: Path, take: Take, camera: str, row: int) -> ViewPair:
-    """One rendered picture beside the true one."""
+    """A rendered picture and the true one."""
     path = frames / "frames" / camera / f"{row:06d}.png"
     picture = decode(read_bytes(path), path, cv2.IMREAD_UNCHANGED)
     if picture.ndim != 3 or picture.shape[2] != 4:

@@ -123,12 +123,12 @@ def vertex_errors(
     rows: list[dict[str, Any]] = []
     for split, frames in known.items():
         report.step(f"true meshes: {split.replace('_', ' ')}")
-        gathered: dict[tuple[str, str], _Distances] = {}
+        by_garment: dict[tuple[str, str], _Distances] = {}
         for done, views in enumerate(frames):
             for name, posing in posings.items():
-                _add_frame(gathered, name, posing, meshes[views.take.name], views, bindings[name])
+                _add_frame(by_garment, name, posing, meshes[views.take.name], views, bindings[name])
             report.progress(done + 1, len(frames))
-        for (name, garment), found in gathered.items():
+        for (name, garment), found in by_garment.items():
             _summarise(summary.setdefault(split, {}), name, garment, found)
             rows += [{"split": split, "method": name, "layer": garment, **row} for row in found.rows]
     if not rows:
@@ -196,7 +196,7 @@ def _bindings(
 
 
 def _add_frame(
-    gathered: dict[tuple[str, str], _Distances],
+    by_garment: dict[tuple[str, str], _Distances],
     name: str,
     posing: Posing,
     truth: TrueMeshes,
@@ -213,7 +213,7 @@ def _add_frame(
         if garment in bindings and bindings[garment][1].same_cloth(mesh):
             binding = bindings[garment][0]
             distances["material"] = material_distances(binding, points, vertices)
-        found = gathered.setdefault((name, garment), _Distances())
+        found = by_garment.setdefault((name, garment), _Distances())
         found.arrays.append(distances)
         figures = {kind: statistics(values) for kind, values in distances.items()}
         found.rows.append(

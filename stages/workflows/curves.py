@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from stages.evaluate.beside import side_by_side
+from stages.evaluate.comparison_sheet import compare_outfits
 from stages.evaluate.curves import (
     SHOWN,
     SHOWN_OF_ABLATIONS,
@@ -124,5 +124,5 @@ def _draw(subject: Path, folder: Path, views: CurveViews, curves: CurveFile, rep
         missing += [name for name, artifact in found.items() if artifact is None]
         outfits = {name: outfit_of(subject, artifact) for name, artifact in found.items() if artifact}
         if outfits:
-            write_whole(folder / pictures, encode_png(side_by_side(views.splits, outfits)))
+            write_whole(folder / pictures, encode_png(compare_outfits(views.splits, outfits)))
     return list(dict.fromkeys(missing))

@@ -16,9 +16,8 @@ from stages.shared.losses.crops import mask_box, square_crop
 from stages.shared.losses.perceptual import Perceptual
 from stages.shared.metrics.flip import flip
 from stages.shared.metrics.psnr import Picture, psnr
-from stages.shared.metrics.segmentation import segmentation_scores
+from stages.shared.metrics.segmentation import iou, segmentation_scores
 from stages.shared.metrics.sharpness import sharpness
-from stages.shared.metrics.silhouette import iou
 from stages.shared.metrics.ssim import ssim, ssim_in_box
 
 Scores = dict[str, float | None]

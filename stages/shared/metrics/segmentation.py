@@ -1,4 +1,4 @@
-"""Scores of a label picture, over the garment classes that are in the truth."""
+"""Overlap of masks, and scores of a label image over its garment classes."""
 
 from __future__ import annotations
 
@@ -8,7 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.shared.layers import GARMENT_LABELS
-from stages.shared.metrics.silhouette import iou
+
+
+def iou(prediction: NDArray[np.bool_], truth: NDArray[np.bool_]) -> float | None:
+    """Intersection over union of two sets of pixels (H, W); None when both are empty."""
+    union = int(np.logical_or(prediction, truth).sum())
+    return int(np.logical_and(prediction, truth).sum()) / union if union else None
 
 
 def segmentation_scores(
@@ -27,10 +32,10 @@ def segmentation_scores(
     overlaps = [iou(prediction == label, truth == label) for label in shown]
     known = [value for value in overlaps if value is not None]
     right = sum(int(((prediction == label) & (truth == label)).sum()) for label in shown)
-    wanted = sum(int((truth == label).sum()) for label in shown)
-    given = sum(int((prediction == label).sum()) for label in shown)
+    actual = sum(int((truth == label).sum()) for label in shown)
+    predicted = sum(int((prediction == label).sum()) for label in shown)
     return {
         "miou": float(np.mean(known)) if known else None,
-        "recall": right / wanted if wanted else None,
-        "f1": 2 * right / (wanted + given) if wanted + given else None,
+        "recall": right / actual if actual else None,
+        "f1": 2 * right / (actual + predicted) if actual + predicted else None,
     }

@@ -11,9 +11,8 @@ from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 from stages.shared.errors import BadData
 from stages.shared.metrics.psnr import psnr
 from stages.shared.metrics.scores import NAMES, ViewPair, mean_scores, view_scores
-from stages.shared.metrics.segmentation import segmentation_scores
+from stages.shared.metrics.segmentation import iou, segmentation_scores
 from stages.shared.metrics.sharpness import sharpness
-from stages.shared.metrics.silhouette import iou
 from stages.shared.metrics.ssim import ssim, ssim_in_box
 
 

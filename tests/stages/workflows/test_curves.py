@@ -17,7 +17,7 @@ import pytest
 from typer.testing import CliRunner
 
 from gw_cli.app import app
-from stages.evaluate.beside import comparison_sheet, shown_frames
+from stages.evaluate.comparison_sheet import comparison_sheet, shown_frames
 from stages.evaluate.curves import CurveFile, curve_figure
 from stages.evaluate.figure import COLORS, Curve, Panel, figure, growing_ticks, ticks
 from stages.pipeline import TRAIN

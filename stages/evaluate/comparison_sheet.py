@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.evaluate.gather import around
 from stages.evaluate.methods import Method, TrainedMethod
+from stages.evaluate.score_table import subject_crop
 from stages.evaluate.views import FrameViews
 from stages.shared.capture.take import MASK_THRESHOLD
 from stages.shared.metrics.psnr import psnr
@@ -23,7 +23,7 @@ _PAPER, _INK, _LETTERS = 255, 40, 0.8
 Row = tuple[str, list[Picture], list[str]]  # which view, its pictures, what is written below each
 
 
-def side_by_side(
+def compare_outfits(
     splits: Mapping[str, Sequence[FrameViews]], outfits: Mapping[str, Outfit], pictures: int = 2
 ) -> Picture:
     """(H, W, 3) u8: truth and every outfit, for `pictures` frames of every split.
@@ -63,7 +63,7 @@ def shown_frames(frames: Sequence[FrameViews], count: int) -> list[FrameViews]:
 
 def _row(split: str, frame: FrameViews, camera: str, methods: Mapping[str, Method]) -> Row:
     truth, mask = frame.take.image(camera, frame.frame), frame.take.mask(camera, frame.frame)
-    cut, inside = around(mask), mask > MASK_THRESHOLD
+    cut, inside = subject_crop(mask), mask > MASK_THRESHOLD
     pictures, below = [_drawn(truth[cut])], [""]
     for method in methods.values():
         method.pose(frame)

@@ -1,4 +1,4 @@
-"""Scores view by view, their means, and the pictures that show what the numbers mean."""
+"""Scores per view, their means, and pictures of the errors."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.evaluate.parts import Piece, Row, replace_picture
+from stages.evaluate.sharding import Row, WorkItem, replace_picture
 from stages.shared.artifacts.pictures import encode_png
 from stages.shared.capture.labels import label_picture
 from stages.shared.capture.take import MASK_THRESHOLD, box_around
@@ -24,7 +24,7 @@ _LARGEST_SIDE, _MARGIN = 384, 12  # px: of a picture as shown, and around the su
 
 
 class ScoredView(NamedTuple):
-    """A view to score, and what its row says of it; the scores called `unknown` mean nothing and are None."""
+    """A view to score and the fields of its row. Scores named in `unknown` become None."""
 
     method: str
     take: str
@@ -36,8 +36,8 @@ class ScoredView(NamedTuple):
 
 
 @dataclass
-class Gathered:
-    """Rows of one split: who, where, which method, and the scores; LPIPS only with `perceptual`."""
+class ScoreTable:
+    """Rows of one split: method, take, camera, frame and scores. LPIPS only with `perceptual`."""
 
     perceptual: Perceptual | None = None
     rows: list[dict[str, Any]] = field(default_factory=list)
@@ -52,7 +52,7 @@ class Gathered:
         view: ViewPair,
         unknown: Sequence[str] = (),
     ) -> Scores:
-        """Score a view and keep the row; the scores called `unknown` mean nothing here and are None."""
+        """Score a view and add its row. Scores named in `unknown` have no meaning and become None."""
         scores = view_scores(view, self.perceptual) | dict.fromkeys(unknown)
         finite = {k: None if v is None or not np.isfinite(v) else round(v, 6) for k, v in scores.items()}
         self.rows.append(
@@ -62,14 +62,14 @@ class Gathered:
 
     def means(self) -> dict[str, Any]:
         """Means per method, and again without the first frame of each take."""
-        found: dict[str, Any] = {}
+        means: dict[str, Any] = {}
         for method in dict.fromkeys(row["method"] for row in self.rows):
-            own = [row for row in self.rows if row["method"] == method]
-            found[method] = {"views": len(own), **mean_scores(own)}
-            later = [row for row in own if not row["first"]]
-            if later and len(later) < len(own):
-                found[f"{method}_without_first"] = {"views": len(later), **mean_scores(later)}
-        return found
+            rows = [row for row in self.rows if row["method"] == method]
+            means[method] = {"views": len(rows), **mean_scores(rows)}
+            later = [row for row in rows if not row["first"]]
+            if later and len(later) < len(rows):
+                means[f"{method}_without_first"] = {"views": len(later), **mean_scores(later)}
+        return means
 
 
 def comparison(
@@ -83,20 +83,22 @@ def comparison(
         top += [view.prediction, error]
         captions += [method, f"error of {method}"]
         if labels is not None and view.prediction_labels is not None:
-            wrong = np.where(_merged(view.prediction_labels) != _merged(labels), np.uint8(255), np.uint8(0))
+            wrong = np.where(
+                _with_one_body(view.prediction_labels) != _with_one_body(labels), np.uint8(255), np.uint8(0)
+            )
             bottom += [label_picture(view.prediction_labels), np.repeat(wrong[..., None], 3, axis=2)]
-    cut = around(next(iter(views.values())).mask)
+    cut = subject_crop(next(iter(views.values())).mask)
     pictures = [shrunk(np.ascontiguousarray(picture[cut]), _LARGEST_SIDE) for picture in top + bottom]
     captions += ["labels" if index == 0 or index % 2 else "wrong labels" for index in range(len(bottom))]
     return contact_sheet(pictures, len(top), captions)
 
 
-def _merged(labels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _with_one_body(labels: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Label ids with hair and shoes counted as skin: the body is one layer."""
     return np.where(np.isin(labels, BODY_LABELS), np.uint8(SKIN), labels)
 
 
-def around(mask: NDArray[np.uint8]) -> tuple[slice, slice]:
+def subject_crop(mask: NDArray[np.uint8]) -> tuple[slice, slice]:
     """Rows and columns around the mask (H, W) of a picture, with a margin; all of them where it is empty."""
     inside = mask > MASK_THRESHOLD
     if not inside.any():
@@ -105,24 +107,24 @@ def around(mask: NDArray[np.uint8]) -> tuple[slice, slice]:
     return slice(top, bottom), slice(left, right)
 
 
-def pair_pieces(
+def pair_items(
     split: str,
     count: int,
     read: Callable[[int], ScoredView],
     perceptual: Perceptual | None,
     pictures: int,
-) -> list[Piece]:
-    """A piece of work for each of `count` pairs; `pictures` of them leave `<split>_<n>.png`."""
+) -> list[WorkItem]:
+    """A item of work for each of `count` pairs; `pictures` of them leave `<split>_<n>.png`."""
     shown = chosen(count, pictures)
 
     def score(index: int, folder: Path) -> list[Row]:
         scored = read(index)
-        gathered = Gathered(perceptual)
-        gathered.add(*scored)
+        table = ScoreTable(perceptual)
+        table.add(*scored)
         if index in shown:
             view = scored.view
             picture = encode_png(comparison(view.truth, view.truth_labels, {scored.method: view}))
             replace_picture(folder / f"{split}_{shown.index(index)}.png", picture)
-        return gathered.rows
+        return table.rows
 
-    return [Piece(split, functools.partial(score, index)) for index in range(count)]
+    return [WorkItem(split, functools.partial(score, index)) for index in range(count)]

@@ -1,7 +1,8 @@
-"""An evaluation in parts: frames that are scored are kept, by shards or after a kill, then gathered.
+"""An evaluation in shards, which can be interrupted and continued.
 
-Beside the output stands `.OUT.part-KEY` with a record of every frame that was scored (its rows, written after
-its pictures); KEY is a digest of everything that the scores follow from, the pixels of the truth included.
+The folder `.OUT.part-KEY` next to the output holds a record of every scored frame. The record contains the
+rows of the frame and is written after its pictures. KEY is a digest of everything that determines the scores,
+with the pixels of the truth.
 """
 
 from __future__ import annotations
@@ -24,11 +25,11 @@ Row = dict[str, Any]
 
 
 @dataclass(frozen=True, eq=False)
-class Piece:
+class WorkItem:
     """A frame to score.
 
     Attributes:
-        split: of views.json. score: makes the rows, and writes pictures into the folder it is given.
+        split: of views.json. score: returns the rows, and writes pictures into the folder of its argument.
     """
 
     split: str
@@ -38,11 +39,11 @@ class Piece:
 def evaluation_key(
     config: EvaluateConfig, sources: Mapping[str, Any], files: Iterable[Path], weights: Path | None
 ) -> str:
-    """Names the content of an evaluation: the same key, the same scores.
+    """Digest that names the content of an evaluation: equal keys mean equal scores.
 
     Arguments:
-        sources: what tells artifacts and views. files: of the truth and of what is scored; their content
-            counts, not where they are. weights: of LPIPS.
+        sources: identifies artifacts and views. files: the truth and what is scored; their content counts,
+            not their paths. weights: of LPIPS.
     """
     parts = {
         "code": _CODE_VERSION,
@@ -54,35 +55,36 @@ def evaluation_key(
     return digest(canonical_json(parts))[:KEY_LENGTH]
 
 
-def score_pieces(folder: Path, pieces: Sequence[Piece], share: Share, report: Report) -> int:
-    """Score a share of the pieces, those already scored left out; returns how many were left out."""
-    numbers = share.of(range(len(pieces)))
+def score_items(folder: Path, items: Sequence[WorkItem], share: Share, report: Report) -> int:
+    """Score a share of the items, without those already scored; returns the number of the latter."""
+    numbers = share.of(range(len(items)))
     missing = [number for number in numbers if not _record(folder, number).exists()]
     make_folders(folder / RECORDS)
     for done, number in enumerate(missing):
-        rows = pieces[number].score(folder)
+        rows = items[number].score(folder)
         write_whole(_record(folder, number), json.dumps(rows, allow_nan=False).encode())
         report.progress(done + 1, len(missing))
-    if kept := len(numbers) - len(missing):
-        report.say(f"{kept} of {len(numbers)} were scored already")
-    return len(numbers) - len(missing)
+    already_scored = len(numbers) - len(missing)
+    if already_scored:
+        report.say(f"{already_scored} of {len(numbers)} were scored already")
+    return already_scored
 
 
-def part_summary(pieces: Sequence[Piece], shard: str, kept: int) -> dict[str, Any]:
-    """The summary of a run that scored a part."""
-    return {"shard": shard, "frames": len(parse_share(shard).of(pieces)), "kept": kept}
+def shard_summary(items: Sequence[WorkItem], shard: str, already_scored: int) -> dict[str, Any]:
+    """Summary of a run that scored one shard."""
+    return {"shard": shard, "frames": len(parse_share(shard).of(items)), "kept": already_scored}
 
 
-def gathered_rows(folder: Path, pieces: Sequence[Piece]) -> dict[str, list[Row]]:
-    """The rows of every split, in the order of the pieces, all of which are scored."""
+def collect_rows(folder: Path, items: Sequence[WorkItem]) -> dict[str, list[Row]]:
+    """The rows of every split, in the order of the items, all of which are scored."""
     rows: dict[str, list[Row]] = {}
-    for number, piece in enumerate(pieces):
-        rows.setdefault(piece.split, []).extend(json.loads(_record(folder, number).read_bytes()))
+    for number, item in enumerate(items):
+        rows.setdefault(item.split, []).extend(json.loads(_record(folder, number).read_bytes()))
     return rows
 
 
 def replace_picture(path: Path, data: bytes) -> None:
-    """Write a picture, in the place of one that a kill may have left unfinished."""
+    """Write a picture over one that an interrupted run may have left unfinished."""
     path.unlink(missing_ok=True)
     write_file(path, data)
 

@@ -12,7 +12,14 @@ CORE = (
     "torch", "numpy", "scipy", "numba", "trimesh", "open3d", "libigl", "pymeshlab",
     "opencv-contrib-python-headless", "safetensors", "roma", "av", "typer", "rich",
 )  # fmt: skip
-OPTIONAL = ("gsplat", "anny", "snakemake", "tensorboardX", "atheris")  # the extras of pyproject.toml
+OPTIONAL = (
+    "gsplat",
+    "anny",
+    "snakemake",
+    "tensorboardX",
+    "atheris",
+    "ai-edge-litert",
+)  # the extras of pyproject.toml
 _SECONDS = 120.0
 
 _PROGRAMS = {

@@ -1,0 +1,1 @@
+"""People in pictures: landmarks and masks by small networks, triangulation (extra `vision`)."""

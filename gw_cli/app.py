@@ -21,6 +21,7 @@ os.environ.setdefault("GOMP_SPINCOUNT", "1000")
 
 # Modules of this package, each with `register(app)`; the order is the one `gw --help` shows.
 COMMANDS: tuple[str, ...] = (
+    "import_capture",
     "register_template",
     "canonicalize",
     "segment_layers",

@@ -22,6 +22,9 @@ from tests.shared.outfit.wardrobe import bundle, make_subject, motion, worn
 
 # Code, then the command. Names without a slash are of the folder that `place` makes; `out` does not exist.
 REFUSED = """
+66 import nowhere -o out
+66 import foreign -o out
+2 import foreign -o out --frames 9:3
 66 register-template nowhere -o out
 65 register-template file -o out
 66 register-template foreign -o out

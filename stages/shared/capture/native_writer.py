@@ -38,15 +38,20 @@ class TakeWriter:
         jpeg: bool = True,
     ) -> None:
         """One view: image (H, W, 3) u8 sRGB, mask (H, W) u8 0..255, labels (H, W) u8 ids (255 none)."""
-        image = np.ascontiguousarray(image[..., ::-1])
-        name = f"{frame:06d}"
-        if jpeg:
-            self._write("rgb", camera, name + ".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
-        else:
-            self._write("rgb", camera, name + ".png", image, [])
-        self._write("masks", camera, name + ".png", mask, [])
+        self.picture(camera, frame, image, jpeg)
+        self.mask(camera, frame, mask)
         if labels is not None:
-            self._write("labels", camera, name + ".png", labels, [])
+            self._write("labels", camera, f"{frame:06d}.png", labels, [])
+
+    def picture(self, camera: str, frame: int, image: _Image, jpeg: bool = True) -> None:
+        """One picture (H, W, 3) u8 sRGB by itself; its mask follows."""
+        options = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY] if jpeg else []
+        name = f"{frame:06d}" + (".jpg" if jpeg else ".png")
+        self._write("rgb", camera, name, np.ascontiguousarray(image[..., ::-1]), options)
+
+    def mask(self, camera: str, frame: int, mask: _Image) -> None:
+        """One mask (H, W) u8 0..255 by itself."""
+        self._write("masks", camera, f"{frame:06d}.png", mask, [])
 
     def scan(self, data: bytes) -> None:
         """The content of a PLY of the dressed person (vertices, faces, colours, `label` per vertex)."""
@@ -76,6 +81,11 @@ class NativeWriter:
         self.takes: list[dict[str, Any]] = []
         self.notes: dict[str, Any] = {}
         write_file(folder / "cameras.json", cameras_json(cameras, heldout))
+
+    def replace_cameras(self, cameras: Iterable[Camera], heldout: Iterable[str] = ()) -> None:
+        """Other cameras than at the beginning: their world may be known only when the pictures are read."""
+        (self.folder / "cameras.json").unlink()
+        write_file(self.folder / "cameras.json", cameras_json(cameras, heldout))
 
     def take(self, name: str, split: Split, poses: Poses | None, scan_frame: int = 0) -> TakeWriter:
         """A new take with poses for all its frames (row = frame number), or without any."""

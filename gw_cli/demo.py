@@ -18,9 +18,9 @@ def register(app: typer.Typer) -> None:
     def demo(
         output: Annotated[Path, typer.Option("-o", "--output", help="Folder of the demo.")] = Path("demo"),
         preset: Preset = "draft",
-        minutes: Annotated[
-            float | None,
-            typer.Option(min=0.01, help="Training minutes per subject; draft takes 4.5 when absent."),
+        steps: Annotated[
+            int | None,
+            typer.Option(min=1, help="Optimiser steps per subject; draft takes 1000 when absent."),
         ] = None,
         seed: Seed = 0,
         device: Device = "auto",
@@ -38,7 +38,7 @@ def register(app: typer.Typer) -> None:
 
         console = Console(as_json)
         check_device(device)
-        config = DemoConfig(preset=preset, seed=seed, train_minutes=minutes, device=device)
+        config = DemoConfig(preset=preset, seed=seed, train_steps=steps, device=device)
 
         from stages.workflows.demo import stage
 

@@ -1,4 +1,4 @@
-"""Two motions: training (walk, twist, arm raise, squat, turn) and held out (leg raise, half turn, bow).
+"""Motions: training (walk, twist, arm raise, squat, turn), held out (leg raise, turn, bow), and a showcase.
 
 A pose is a set of Euler angles in degrees per joint, a function of the time in seconds. Angles at a joint
 are (about x: forward/back, about y: twist, about z: sideways) and are applied in the order z, x, y to a
@@ -20,6 +20,7 @@ FPS = 30.0
 # When each motion has come to its end.
 TRAINING_SECONDS = 160 / FPS
 HELD_OUT_SECONDS = 80 / FPS
+SHOWCASE_SECONDS = 210 / FPS
 
 Angles = dict[str, NDArray[np.float64]]
 Motion = Callable[[float], Angles]
@@ -59,6 +60,17 @@ def held_out_motion(seconds: float) -> Angles:
     _add(pose, {"pelvis": bow * np.array([18.0, 0, 0]), "left_hip": bow * np.array([-18.0, 0, 0])})
     _add(pose, {"right_hip": bow * np.array([-18.0, 0, 0]), "spine1": bow * np.array([12.0, 0, 0])})
     _add(pose, {"spine2": bow * np.array([10.0, 0, 0]), "neck": bow * np.array([8.0, 0, 0])})
+    return pose
+
+
+def showcase_motion(seconds: float) -> Angles:
+    """For films: walk in place while turning around once, raise both arms, twist."""
+    t = seconds
+    pose = a_pose()
+    _add(pose, _walk(t, 0.1, 4.0))
+    _add(pose, {"pelvis": np.array([0.0, 360.0 * _ease((t - 0.6) / 3.6), 0.0])})
+    _add(pose, _raise_arms(t, 4.0, 5.4))
+    _add(pose, _twist(t, 5.2, 6.8))
     return pose
 
 

@@ -7,6 +7,7 @@ Reads nothing. Writes, under the output folder:
     inner_truth            native capture, take `inner` (split test): some training frames of subject 2
                            without the vest; the shirt is where it was under the vest
     motions/held_out.npz   the poses of that take, 30 frames/s, layout of `smpl_params.npz`
+    motions/showcase.npz   7 seconds for films, subject 2's shape: a walk with a turn, arms raised, a twist
 World: metres, y up, the floor is y = 0. All poses are at 30 frames/s; every few frames have images.
 """
 
@@ -90,7 +91,7 @@ def plan(output: Path, config: SynthConfig = SynthConfig()) -> Plan:
     pictures = 5e-8 * rays + 0.03 * views
     return Plan(
         inputs=[],
-        outputs=[f"{output}/{name}" for name in (*CAPTURES, "motions/held_out.npz")],
+        outputs=[f"{output}/{name}" for name in (*CAPTURES, "motions/held_out.npz", "motions/showcase.npz")],
         config=asdict(config),
         seconds=10 + (cloth + pictures) / 2,
         memory_bytes=900 << 20,
@@ -142,6 +143,10 @@ def run(output: Path, config: SynthConfig = SynthConfig(), report: Report = SILE
     worn = next(take for take in takes if take.capture == "tryon_truth")
     motion_path = output / "motions" / "held_out.npz"
     write_whole(motion_path, worn.poses.to_npz_bytes())
+    showcase = motion.poses_of(
+        motion.showcase_motion, round(motion.SHOWCASE_SECONDS * motion.FPS), second.body
+    )
+    write_whole(output / "motions" / "showcase.npz", showcase.to_npz_bytes())
     return SynthResult(captures, motion_path, _summary(takes, config))
 
 

@@ -136,7 +136,7 @@ REFUSED = """
 2 demo -o file --preset tiny
 2 demo -o out --preset zz
 2 demo -o out --device zz
-2 demo -o out --minutes -3
+2 demo -o out --steps 0
 2 clean subject
 66 bench curves nowhere
 2 bench curves subject --methods zz

@@ -29,33 +29,56 @@ table { border-collapse: collapse; margin: .75rem 0; font-variant-numeric: tabul
 th, td { text-align: right; padding: .25rem .8rem; border-bottom: 1px solid var(--line) }
 th:first-child, td:first-child { text-align: left }
 section { border-top: 1px solid var(--line); padding-top: 1rem; margin-top: 1.5rem }
+details { margin-top: .75rem } summary { cursor: pointer }
 .pictures { display: grid; grid-template-columns: repeat(auto-fit, minmax(18rem, 1fr)); gap: 1rem; margin-top: .75rem }
 figure { margin: 0 }
 """  # noqa: E501
 
-_SCORES = ("psnr_foreground", "ssim_foreground", "iou", "miou", "sharpness")
+_SCORES = {
+    "psnr_foreground": "PSNR of the person, dB",
+    "ssim_foreground": "SSIM of the person",
+    "flip": "FLIP (lower is better)",
+    "iou": "silhouette IoU",
+    "miou": "layer mIoU",
+    "sharpness": "sharpness (truth is 1)",
+}
+_GO_ON = {
+    "Watch outfits live in the browser":
+        "gw view --wardrobe wardrobe --poses synthetic/motions/showcase.npz",
+    "A motion of your own (SMPL-X, AMASS or BVH)":
+        "gw tryon wardrobe/body_1.gwg wardrobe/skirt.gwg wardrobe/top.gwg --poses walk.bvh -o walk",
+    "A page that turns without a server":
+        "gw render wardrobe/body_2.gwg wardrobe/skirt.gwg wardrobe/shirt.gwg --html outfit.html",
+    "Your own capture":
+        "gw register-template CAPTURE -o SUBJECT",
+}  # fmt: skip
 
 
 def write_page(folder: Path, config: DemoConfig, outcomes: list[DemoOutcome]) -> Path:
     """Write `index.html` and `contact_sheet.png`; return the page's path."""
     write_contact_sheet(folder, outcomes)
-    film = _film(folder, outcomes)
     total = sum(outcome.seconds for outcome in outcomes)
     body = [
         "<h1>Gaussian Wardrobe: the demo</h1>",
         f'<p class="soft">Preset {html.escape(config.preset)}, seed {config.seed}. '
         f"{len(outcomes)} commands, {total / 60:.1f} minutes of work on this machine. "
         "Nothing was downloaded: both people are synthetic.</p>",
-        film,
+        _films(folder, outcomes),
+        _outfits(folder, outcomes),
+        "<h2>How good is it?</h2>",
+        "<p>A novel view is a camera that was held out, a novel pose a motion that training did not see. "
+        "The baseline has learned nothing: it is the template with the colours of its frame, moved by "
+        "the bones.</p>",
+        _score_table(outcomes),
+        "<h2>Go on from here</h2>",
+        *[f"<p>{html.escape(text)}</p><code>{html.escape(line)}</code>" for text, line in _GO_ON.items()],
+        "<h2>What was run</h2>",
         '<figure><img src="contact_sheet.png" alt="One picture per stage">'
         "<figcaption>One picture of each stage.</figcaption></figure>",
-        "<h2>Scores</h2>",
-        "<p>The baseline is the same template with colours projected from its frame, moved by the bones "
-        "alone: it learned nothing.</p>",
-        _score_table(outcomes),
-        "<h2>What was run</h2>",
-        _cost_table(outcomes),
+        f"<details><summary>Seconds and memory</summary>{_cost_table(outcomes)}</details>",
+        "<details><summary>Every command</summary>",
         *[_section(folder, outcome) for outcome in outcomes],
+        "</details>",
     ]
     page = (
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
@@ -69,17 +92,27 @@ def write_page(folder: Path, config: DemoConfig, outcomes: list[DemoOutcome]) ->
     return path
 
 
-def _film(folder: Path, outcomes: list[DemoOutcome]) -> str:
-    """The film of the try-on, if a step left one."""
-    for outcome in reversed(outcomes):
-        for picture in outcome.pictures(folder):
-            if picture.endswith((".mp4", ".webm")):
-                return (
-                    f'<figure><video src="{html.escape(picture)}" controls loop muted autoplay playsinline>'
-                    "</video>"
-                    f"<figcaption>{html.escape(outcome.step.sentence)}</figcaption></figure>"
-                )
-    return ""
+def _films(folder: Path, outcomes: list[DemoOutcome]) -> str:
+    """The films of the try-on side by side."""
+    figures = [
+        f'<figure><video src="{html.escape(picture)}" controls loop muted autoplay playsinline></video>'
+        f"<figcaption>{html.escape(outcome.step.sentence)}</figcaption></figure>"
+        for outcome in outcomes
+        for picture in outcome.pictures(folder)
+        if picture.endswith((".mp4", ".webm"))
+    ]
+    return f'<div class="pictures">{"".join(figures)}</div>'
+
+
+def _outfits(folder: Path, outcomes: list[DemoOutcome]) -> str:
+    """The sheet of all outfits, as wide as the page."""
+    return "".join(
+        f'<figure><a href="{html.escape(picture)}"><img src="{html.escape(picture)}" alt="every outfit"></a>'
+        f"<figcaption>{html.escape(outcome.step.sentence)}</figcaption></figure>"
+        for outcome in outcomes
+        for picture in outcome.pictures(folder)
+        if picture.startswith("outfits/")
+    )
 
 
 def _score_table(outcomes: list[DemoOutcome]) -> str:
@@ -89,10 +122,10 @@ def _score_table(outcomes: list[DemoOutcome]) -> str:
         if outcome.step.arguments[0] != "evaluate":
             continue
         for name, scores in _score_rows(outcome.result):
-            label = " ".join(filter(None, (outcome.step.subject or "try-on", name)))
+            label = " ".join(filter(None, (outcome.step.subject or "try-on", name))).replace("_", " ")
             cells = "".join(f"<td>{_number(scores.get(score))}</td>" for score in _SCORES)
             rows.append(f"<tr><td>{html.escape(label)}</td>{cells}</tr>")
-    head = "".join(f"<th>{score}</th>" for score in _SCORES)
+    head = "".join(f"<th>{html.escape(title)}</th>" for title in _SCORES.values())
     return f"<table><tr><th></th>{head}</tr>{''.join(rows)}</table>"
 
 
@@ -124,7 +157,7 @@ def _cost_table(outcomes: list[DemoOutcome]) -> str:
 
 def _section(folder: Path, outcome: DemoOutcome) -> str:
     title = " · ".join(filter(None, (outcome.step.title, outcome.step.subject)))
-    figures = "".join(_figure(picture) for picture in outcome.pictures(folder)[-6:])
+    figures = "".join(_figure(picture) for picture in outcome.pictures(folder)[-2:])
     return (
         f"<section><h2>{html.escape(title)}</h2><p>{html.escape(outcome.step.sentence)}</p>"
         f"<code>{html.escape(outcome.step.command)}</code>"

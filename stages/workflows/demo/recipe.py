@@ -72,8 +72,8 @@ def _synthesise(config: DemoConfig) -> DemoStep:
 def _learn(subject: str, config: DemoConfig) -> list[DemoStep]:
     preset = ("--preset", config.preset)
     train_options: tuple[str, ...] = preset + ("--seed", str(config.seed), "--device", config.device)
-    if config.minutes is not None:
-        train_options += ("--minutes", f"{config.minutes:g}")
+    if config.steps is not None:
+        train_options += ("--steps", str(config.steps))
     table: list[tuple[str, str, tuple[str, ...], str]] = [
         (
             "register-template",
@@ -145,15 +145,24 @@ def _exchange(config: DemoConfig) -> list[DemoStep]:
         )
     ]
     outfit = tuple(f"wardrobe/{name}.gwg" for name in ("body_2", "shirt", "vest", "skirt"))
+    swapped = tuple(f"wardrobe/{name}.gwg" for name in ("body_2", "top", "trousers"))
+    showcase = ("--poses", "synthetic/motions/showcase.npz", "--preset", config.preset)
     motion = ("--poses", "synthetic/motions/held_out.npz")
     return [
         *exports,
         DemoStep(
             "tryon",
-            "Subject 2 in subject 1's skirt, in a motion neither was trained on.",
-            ("tryon", *outfit, *motion, "-o", "tryon", "--preset", config.preset),
+            "Subject 2 in subject 1's skirt, with its own shirt and vest, in a motion of no training take.",
+            ("tryon", *outfit, *showcase, "--frames", "0:120", "-o", "tryon"),
             ("tryon/result.json",),
             ("tryon/*.mp4", "tryon/*.webm", "tryon/contact_sheet.png"),
+        ),
+        DemoStep(
+            "change of clothes",
+            "The same motion goes on; subject 2 wears its trousers and subject 1's T-shirt.",
+            ("tryon", *swapped, *showcase, "--frames", "120:210", "-o", "tryon_changed"),
+            ("tryon_changed/result.json",),
+            ("tryon_changed/*.mp4", "tryon_changed/*.webm"),
         ),
         DemoStep(
             "wardrobe",

@@ -68,7 +68,7 @@ def test_the_page_shows_commands_scores_and_pictures(tmp_path: Path) -> None:
     scores = {"novel_pose": {"model": {"psnr_foreground": 21.25, "iou": None}}}
     page = write_page(tmp_path, DemoConfig(), [DemoOutcome(step, 3.0, 2**20, scores)]).read_text()
     assert "gw evaluate s1" in page and "21.25" in page and 'src="look.png"' in page
-    assert "subject_1 novel_pose model" in page and "–" in page
+    assert "subject 1 novel pose model" in page and "–" in page
     sheet = cv2.imread(str(tmp_path / "contact_sheet.png"))
     assert sheet is not None and (sheet == 90).any()
 

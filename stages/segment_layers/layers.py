@@ -7,12 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from stages.segment_layers.beneath import faces_beneath
 from stages.segment_layers.config import SegmentLayersConfig
-from stages.segment_layers.extract import LayerPart, extract_part, join, sink
+from stages.segment_layers.extract import LayerPart, extract_part, faces_beneath, join, sink
 from stages.segment_layers.hidden_cloth import BodySurface, lower_onto_body
-from stages.segment_layers.orientation import outward_faces
-from stages.segment_layers.regions import face_labels
+from stages.segment_layers.regions import face_labels, outward_faces
 from stages.shared.body.model import BodyModel
 from stages.shared.body.posed import posed_body
 from stages.shared.body.poses import Poses

@@ -13,7 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from stages.synth.shells import border_vertices
+from stages.synth.offset_surface import border_vertices
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]

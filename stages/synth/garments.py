@@ -1,8 +1,8 @@
-"""Garments as geometry: cut around the mean body in its rest pose, then graded to a person's shape.
+"""Garments as geometry: cut around the mean body in its rest pose, then fitted to the shape of a person.
 
-Upper garments and trousers are offset surfaces of the body (`shells`), the skirt is a flared cone from the
-waist. A cut garment is a `Pattern`; `fit` moves it by the body's own shape offsets, smoothed, which is also
-how one person's skirt is given to another person.
+Upper garments and trousers are offset surfaces of the body (`offset_surface`). The skirt is a flared cone
+from the waist. A `Pattern` is a garment cut for the mean body. `fit` moves it by the smoothed shape offsets
+of a body, which also fits the skirt of one person to another.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from numpy.typing import NDArray
 
 from stages.shared.layers import LAYER_OF_LABEL, label_of
 from stages.synth.bodies import ShapedBody
-from stages.synth.coverings import (
+from stages.synth.fitted_garments import (
     Cut,
     open_vest,
     t_shirt,
     trousers,
 )
-from stages.synth.grading import carry
-from stages.synth.patterns import ARGYLE, CHECKS, DOTS, STRIPES, TARTAN, Fabric
 from stages.synth.skirt import flared_skirt
+from stages.synth.textures import ARGYLE, CHECKS, DOTS, STRIPES, TARTAN, Fabric
+from stages.synth.transfer_attributes import transfer_attributes
 
 Floats = NDArray[np.float64]
 
@@ -102,8 +102,8 @@ def fit(pattern: Pattern, mean: ShapedBody, wearer: ShapedBody) -> Garment:
     """Grade a pattern to the wearer: add the body's shape offsets, carried over and smoothed."""
     cut = pattern.cut
     offsets = wearer.rest_vertices - mean.rest_vertices
-    moved = cut.vertices + carry(cut.vertices, cut.faces, mean, offsets)
-    weights = carry(cut.vertices, cut.faces, mean, mean.weights)
+    moved = cut.vertices + transfer_attributes(cut.vertices, cut.faces, mean, offsets)
+    weights = transfer_attributes(cut.vertices, cut.faces, mean, mean.weights)
     weights = np.maximum(weights, 0.0)
     return Garment(
         pattern.name,

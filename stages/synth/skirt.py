@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from stages.shared.body import JOINT_INDEX
 from stages.synth.bodies import ShapedBody
-from stages.synth.coverings import Cut
-from stages.synth.shells import DistanceGrid
+from stages.synth.fitted_garments import Cut
+from stages.synth.offset_surface import DistanceGrid
 
 WAIST_EASE = 0.008
 FLARE = 0.42  # metres of radius per metre below the hips

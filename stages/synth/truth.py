@@ -12,7 +12,7 @@ from stages.shared.meshes.ply import encode_ply
 from stages.shared.pictures.srgb import srgb_from_linear
 from stages.synth.dressed import Look
 from stages.synth.garments import Garment
-from stages.synth.patterns import fabric_color
+from stages.synth.textures import fabric_color
 
 Floats = NDArray[np.float64]
 Faces = NDArray[np.int64]

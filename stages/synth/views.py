@@ -13,7 +13,7 @@ from stages.shared.layers import NO_LABEL
 from stages.shared.meshes import RayScene, vertex_normals
 from stages.shared.pictures.srgb import srgb_from_linear
 from stages.synth.dressed import Look
-from stages.synth.patterns import fabric_color
+from stages.synth.textures import fabric_color
 
 Floats = NDArray[np.float64]
 Image = NDArray[np.uint8]

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stages.segment_layers.beneath import faces_beneath
 from stages.segment_layers.config import SegmentLayersConfig
-from stages.segment_layers.extract import extract_part
+from stages.segment_layers.extract import extract_part, faces_beneath
 from stages.segment_layers.hidden_cloth import BodySurface
 from stages.segment_layers.layers import OUTER, UPPER, Template, garment_layer, slots_of
 from stages.shared.layers import GARMENT_LABELS

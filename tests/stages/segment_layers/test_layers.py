@@ -8,8 +8,14 @@ import pytest
 from stages.segment_layers.extract import extract_part, join, sink
 from stages.segment_layers.fill import fill_colors
 from stages.segment_layers.labelling import known_labels, label_costs, label_vertices, nearest_seen
-from stages.segment_layers.orientation import outward_faces
-from stages.segment_layers.regions import drop_absent, face_labels, mesh_edges, remove_islands, vertex_areas
+from stages.segment_layers.regions import (
+    drop_absent,
+    face_labels,
+    mesh_edges,
+    outward_faces,
+    remove_islands,
+    vertex_areas,
+)
 from stages.shared.meshes.topology import face_normals
 
 SIDE = 21

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from stages.shared.meshes import boundary_edges, edges
-from stages.synth.shells import surface_nets
+from stages.synth.offset_surface import surface_nets
 
 SPACING, RADIUS = 0.05, 0.33
 

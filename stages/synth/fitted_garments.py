@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from stages.shared.body import JOINT_INDEX
 from stages.synth.bodies import ShapedBody
-from stages.synth.shells import DistanceGrid, shell
+from stages.synth.offset_surface import DistanceGrid, shell
 
 Floats = NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""Carrying what is known on the mean body (shape offsets, skinning weights) to the geometry around it."""
+"""Attributes of the mean body (shape offsets, skinning weights) transferred to geometry around it."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from scipy.spatial import cKDTree
 
 from stages.shared.meshes import edges
 from stages.synth.bodies import ShapedBody
-from stages.synth.shells import border_vertices, neighbour_mean
+from stages.synth.offset_surface import border_vertices, neighbour_mean
 
 Floats = NDArray[np.float64]
 
 _HAND_PARTS = ("wrist", "thumb", "index", "middle", "ring", "pinky")
 
 
-def carry(points: Floats, faces: NDArray[np.int64], mean: ShapedBody, values: Floats) -> Floats:
+def transfer_attributes(points: Floats, faces: NDArray[np.int64], mean: ShapedBody, values: Floats) -> Floats:
     """(V, K) values of the body at garment points: inverse distance over 24 vertices, then diffused."""
     names = mean.model.joint_names
     hands = [joint for joint, name in enumerate(names) if any(part in name for part in _HAND_PARTS)]
@@ -23,12 +23,12 @@ def carry(points: Floats, faces: NDArray[np.int64], mean: ShapedBody, values: Fl
     distance, nearest = cKDTree(mean.rest_vertices[usable]).query(points, k=24)
     share = 1.0 / np.maximum(distance, 1e-3) ** 2
     share /= share.sum(axis=1, keepdims=True)
-    carried = np.einsum("vk,vkc->vc", share, values[usable[nearest]])
+    transferred = np.einsum("vk,vkc->vc", share, values[usable[nearest]])
     all_edges = edges(faces)
     average = neighbour_mean(len(points), all_edges)
     border = border_vertices(len(points), faces)
     along = neighbour_mean(len(points), all_edges[border[all_edges].all(axis=1)])
     for _ in range(25):
-        mean_here = np.where(border[:, None], along @ carried, average @ carried)
-        carried = 0.5 * carried + 0.5 * mean_here
-    return carried
+        mean_here = np.where(border[:, None], along @ transferred, average @ transferred)
+        transferred = 0.5 * transferred + 0.5 * mean_here
+    return transferred

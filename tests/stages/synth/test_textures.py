@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stages.shared.pictures.srgb import linear_from_srgb, srgb_from_linear
-from stages.synth.patterns import (
+from stages.synth.textures import (
     ARGYLE,
     CHECKS,
     DOTS,

@@ -1,23 +1,44 @@
 """Options of a command made from the fields of its configuration, so that each is declared once.
 
-A field's metadata gives its `help` and, where they apply, `min`, `max`, `metavar` and `flag` (the option's
-name, where it is not the field's).
+A field declared with `stages.shared.option.option` becomes an option, also in a configuration inside the
+configuration. Its metadata give its `help` and, where they apply, `min`, `max`, `metavar`, `choices` and
+`flag` (the option's name, where it is not the field's).
 """
 
 from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import Callable, Collection, Mapping
-from dataclasses import Field, fields, replace
-from typing import Annotated, Any, TypeVar, get_type_hints
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass, fields, is_dataclass, replace
+from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
 import typer
 
-from gw_cli.options import Preset, names, preset_config
+from gw_cli.options import Preset, names, one_of, parse_ranks, preset_config
 
 Command = TypeVar("Command", bound=Callable[..., None])
-_NAMES = tuple[str, ...]
+FieldPath = tuple[str, ...]  # names that lead to a value, as ("track", "frame_step")
+
+
+@dataclass(frozen=True)
+class _Option:
+    """A field as an option: its path, its type, its metadata."""
+
+    path: FieldPath
+    kind: Any
+    metadata: Mapping[str, Any]
+
+    @property
+    def name(self) -> str:
+        """Name of the command's parameter; a flag names the option itself."""
+        return "_".join(self.path) if "flag" in self.metadata else self.path[-1]
+
+    def parsed(self, value: Any) -> Any:
+        """The field's value of what was typed."""
+        if get_origin(self.kind) is not tuple:
+            return value
+        return names(value) if get_args(self.kind)[0] is str else parse_ranks(value)
 
 
 def config_options(
@@ -25,56 +46,91 @@ def config_options(
     preset: str,
     omit: Collection[str] = (),
     help: Mapping[str, str] | None = None,
+    completion: Mapping[str, Callable[..., list[str]]] | None = None,
 ) -> Callable[[Command], Command]:
-    """Replace the parameter `config` of a command by one option per field, and by --preset.
+    """Replace the parameter `config` of a command by one option per declared field, and by --preset.
 
-    The command is called with the preset's configuration, changed by the options. Fields of type
-    `tuple[str, ...]` are given as a comma-separated list. A field in which presets differ has no default of
-    its own.
+    The command is called with the preset's configuration, changed by the options. Tuples are given as a
+    comma-separated list. A field in which presets differ has no default of its own.
 
     Arguments:
         presets: by name; one dataclass. preset: name of the default one.
-        omit: fields without an option. help: texts in place of the fields' own.
+        omit: fields without an option. help: texts in place of the fields' own. completion: what
+            the shell offers at the Tab key, where that is not the field's `choices`.
     """
-    config_type = type(presets[preset])
-    types = get_type_hints(config_type)
-    shown = [field for field in fields(config_type) if field.name not in omit]
-    texts = {field.name: field.metadata["help"] for field in shown} | dict(help or {})
+    options = [option for option in _declared(type(presets[preset])) if option.name not in omit]
+    texts = {option.name: option.metadata["help"] for option in options} | dict(help or {})
 
-    def option(field: Field[Any]) -> inspect.Parameter:
-        varies = len({getattr(config, field.name) for config in presets.values()}) > 1
-        limits = {key: field.metadata[key] for key in ("min", "max", "metavar") if key in field.metadata}
-        flags = [field.metadata["flag"]] if "flag" in field.metadata else []
-        kind = str if types[field.name] == _NAMES else types[field.name]
-        default = "" if types[field.name] == _NAMES else None if varies else field.default
-        chosen = typer.Option(*flags, help=texts[field.name], **limits)
-        annotation = Annotated[kind | None if varies else kind, chosen]  # type: ignore[valid-type]
-        return _parameter(field.name, default, annotation)
+    def parameter_of(option: _Option) -> inspect.Parameter:
+        values = [functools.reduce(getattr, option.path, config) for config in presets.values()]
+        default = values[0] if all(value == values[0] for value in values) else None
+        kind: Any = option.kind
+        if get_origin(kind) is tuple:
+            kind, default = str, None if default is None else ",".join(str(part) for part in default)
+        if default is None:
+            kind = kind | None
+        limits = {key: option.metadata[key] for key in ("min", "max", "metavar") if key in option.metadata}
+        flags = [option.metadata["flag"]] if "flag" in option.metadata else []
+        offered: Any = {"autocompletion": (completion or {}).get(option.name), **_choices(option)}
+        made: Any = Annotated[kind, typer.Option(*flags, help=texts[option.name], **{**limits, **offered})]
+        return _parameter(option.name, default, made)
 
     def decorate(function: Command) -> Command:
         signature = inspect.signature(function, eval_str=True)
         parameters: list[inspect.Parameter] = []
         for parameter in signature.parameters.values():
             if parameter.name == "config":
-                parameters += [*map(option, shown), _parameter("preset", preset, Preset)]
+                parameters += [*map(parameter_of, options), _parameter("preset", preset, Preset)]
             else:
                 parameters.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
 
         @functools.wraps(function)
         def called(**values: Any) -> None:
             config = preset_config(dict(presets), values.pop("preset"))
-            given = {field.name: values.pop(field.name) for field in shown}
-            changes = {
-                name: names(value) if types[name] == _NAMES else value
-                for name, value in given.items()
-                if value is not None
-            }
-            function(**values, config=replace(config, **changes))
+            for option in options:
+                value = values.pop(option.name)
+                if value is not None:
+                    config = _with(config, option.path, option.parsed(value))
+            function(**values, config=config)
 
         called.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
         return called  # type: ignore[return-value]
 
     return decorate
+
+
+def _choices(option: _Option) -> dict[str, Any]:
+    """Completion and check of an option that takes one of a few words."""
+    words: tuple[str, ...] = option.metadata.get("choices", ())
+    if not words:
+        return {}
+    shown = option.metadata.get("flag", "--" + option.path[-1].replace("_", "-"))
+
+    def complete(incomplete: str) -> list[str]:
+        return [word for word in words if word.startswith(incomplete)]
+
+    def check(value: str | None) -> str | None:
+        return value if value is None else one_of(shown, value, words)
+
+    return {"autocompletion": complete, "callback": check}
+
+
+def _declared(config_type: type, above: FieldPath = ()) -> Iterator[_Option]:
+    """The declared fields of a configuration and of those inside it, in order."""
+    kinds = get_type_hints(config_type)
+    for field in fields(config_type):
+        path, kind = (*above, field.name), kinds[field.name]
+        if isinstance(kind, type) and is_dataclass(kind):
+            yield from _declared(kind, path)
+        elif "help" in field.metadata:
+            yield _Option(path, kind, field.metadata)
+
+
+def _with(config: Any, path: FieldPath, value: Any) -> Any:
+    """The configuration with another value at a path."""
+    if len(path) > 1:
+        value = _with(getattr(config, path[0]), path[1:], value)
+    return replace(config, **{path[0]: value})
 
 
 def _parameter(name: str, default: Any, annotation: Any) -> inspect.Parameter:

@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from gw_cli.completion import subjects, trainings
+from gw_cli.config_options import config_options
 from gw_cli.console import Console, command
 from gw_cli.inputs import check_exists, check_stages
-from gw_cli.options import DryRun, Json, Preset, Shard, names, preset_config, without_shard
+from gw_cli.options import DryRun, Json, without_shard
+from stages.evaluate.config import PRESETS, EvaluateConfig
 from stages.shared.errors import UsageProblem
 
 
 def register(app: typer.Typer) -> None:
     @app.command("evaluate")
     @command
+    @config_options(PRESETS, "draft", completion={"training": trainings})
     def evaluate(
         subject: Annotated[
             Path | None,
@@ -26,27 +28,6 @@ def register(app: typer.Typer) -> None:
                 metavar="SUBJECT", help="Workspace folder of the subject.", autocompletion=subjects
             ),
         ] = None,
-        split: Annotated[
-            str, typer.Option(help="Of novel-pose, novel-view, novel-both (test poses, held-out cameras).")
-        ] = "novel-pose,novel-view",
-        methods: Annotated[str, typer.Option(help="Of trained, baseline, distilled.")] = "trained,baseline",
-        frame_step: Annotated[
-            int | None, typer.Option(min=1, help="Novel views: every so many-th training frame.")
-        ] = None,
-        test_frame_step: Annotated[
-            int | None, typer.Option(min=1, help="Novel poses: every so many-th test frame.")
-        ] = None,
-        cameras: Annotated[
-            int | None, typer.Option(min=1, help="At most so many cameras of each frame.")
-        ] = None,
-        training: Annotated[
-            str,
-            typer.Option(
-                metavar="KEY",
-                help="Score this training (folder name in SUBJECT/train, or its start).",
-                autocompletion=trainings,
-            ),
-        ] = "",
         frames: Annotated[
             Path | None, typer.Option(help="Instead of a subject: output of gw render --cameras CAPTURE.")
         ] = None,
@@ -83,8 +64,7 @@ def register(app: typer.Typer) -> None:
                 "where the path does not name it), or the folder of a capture that has them. Repeatable.",
             ),
         ] = None,
-        shard: Shard = "",
-        preset: Preset = "draft",
+        config: EvaluateConfig = PRESETS["draft"],
         dry_run: DryRun = False,
         as_json: Json = False,
     ) -> None:
@@ -102,17 +82,7 @@ def register(app: typer.Typer) -> None:
         true one, in metres, beside its texels moved by the bones alone: between the surfaces, and material:
         from point to point of the cloth, which is what notices sliding. Give the training take's file too.
         """
-        from stages.evaluate.config import PRESETS
-
         console = Console(as_json)
-        config = replace(preset_config(PRESETS, preset), splits=names(split), methods=names(methods))
-        if frame_step is not None:
-            config = replace(config, frame_step=frame_step)
-        if test_frame_step is not None:
-            config = replace(config, test_frame_step=test_frame_step)
-        if cameras is not None:
-            config = replace(config, cameras=cameras)
-        config = replace(config, training=training, shard=shard)
         given = sum(source is not None for source in (subject, frames, images))
         if true_meshes and subject is None:
             raise UsageProblem(

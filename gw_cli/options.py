@@ -60,11 +60,6 @@ Recompute = Annotated[
 Force = Annotated[bool, typer.Option("--force", help="Do it again though it is up to date.")]
 
 
-# What commands share whose work is frame by frame.
-Shard = Annotated[
-    str, typer.Option(metavar="I/N", help="Only the i-th of n parts of the frames, as 2/4; see below.")
-]
-
 FilmFolder = Annotated[Path, typer.Option("-o", "--output", help="Folder of film and frames.")]
 Betas = Annotated[str, typer.Option(help="Another body shape: up to ten numbers, 0.5,-1.2.")]
 FrameRate = Annotated[float, typer.Option(min=0, help="Frames per second; 0 keeps the motion's own.")]

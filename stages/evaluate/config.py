@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+
+from stages.shared.option import option
 
 SPLITS = ("novel-pose", "novel-view", "novel-both")
 METHODS = ("trained", "baseline", "distilled")
@@ -25,15 +27,21 @@ class EvaluateConfig:
         shard: "i/n", the part of the frames that this run scores; "" for all.
     """
 
-    splits: tuple[str, ...] = SPLITS[:2]
-    methods: tuple[str, ...] = ("trained", "baseline")
-    frame_step: int = 5
-    test_frame_step: int = 1
-    cameras: int = 0
-    training: str = ""
+    splits: tuple[str, ...] = option(
+        SPLITS[:2], "Of novel-pose, novel-view, novel-both (test poses, held-out cameras).", flag="--split"
+    )
+    methods: tuple[str, ...] = option(("trained", "baseline"), "Of trained, baseline, distilled.")
+    frame_step: int = option(5, "Novel views: step between training frames.", min=1)
+    test_frame_step: int = option(1, "Novel poses: step between test frames.", min=1)
+    cameras: int = option(0, "Largest number of cameras of each frame; 0 for all.", min=0)
+    training: str = option(
+        "", "Score this training (folder name in SUBJECT/train, or its start).", metavar="KEY"
+    )
     pictures: int = 4
     supersampling: int = 2
-    shard: str = field(default="", metadata={"affects_result": False})
+    shard: str = option(
+        "", "Only the i-th of n parts of the frames, as 2/4; see below.", metavar="I/N", affects_result=False
+    )
 
 
 PRESETS: dict[str, EvaluateConfig] = {

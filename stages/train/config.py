@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 from stages.shared.avatar.config import PAPER_MODEL, ModelConfig
+from stages.shared.option import option
 
 ALL_TAKES = "all"
 DEFAULT_METHOD = "gaussian-wardrobe"
@@ -64,7 +65,12 @@ class TrackConfig:
             label only.
     """
 
-    frame_step: int = 0
+    frame_step: int = option(
+        0,
+        "Follow the garments through frames at this step before training, by optical flow from render to "
+        "image; 0 to go without.",
+        flag="--track-step", min=0,
+    )  # fmt: skip
     cell: int = 4
     warm_up: int = 60
     rounds: int = 3
@@ -106,15 +112,20 @@ class TrainConfig:
         device: auto, cpu or cuda; not part of what the result is named by.
     """
 
-    seed: int = 0
-    steps: int = 2000
-    minutes: float = 0.0
-    frame_step: int = 5
-    views_per_step: int = 4
-    image_scale: float = 1.0
+    seed: int = option(0, "Seed of everything random.", min=0)
+    steps: int = option(2000, "Optimiser steps.", min=1)
+    minutes: float = option(0.0, "Stop after this much training time; 0 for the steps alone.", min=0)
+    frame_step: int = option(5, "Step between the frames of each take that are learned from.", min=1)
+    views_per_step: int = option(4, "Cameras rendered for each pass of the networks.", min=1)
+    image_scale: float = option(1.0, "Learn from smaller images; 1 is full size.", min=0.05, max=1.0)
     coarse_scale: float = 0.25
     coarse_until: float = 0.3
-    patch: int = field(default=0, metadata={"said_if_set": True})
+    patch: int = option(
+        0,
+        "Each step sees a crop of PX x PX of every image at full resolution, drawn where the person and the "
+        "edges of garments are; 0 for whole images. For large images.",
+        min=0, metavar="PX", said_if_set=True,
+    )  # fmt: skip
     flow_until: float = 0.6
     stage_two: float = 0.2
     rate_end: float = 0.05
@@ -128,12 +139,25 @@ class TrainConfig:
     rates: LearningRates = field(default_factory=LearningRates)
     track: TrackConfig = field(default_factory=TrackConfig)
     model: ModelConfig = field(default_factory=ModelConfig)
-    method: str = DEFAULT_METHOD
-    without: tuple[str, ...] = ()
+    method: str = option(
+        DEFAULT_METHOD,
+        "gaussian-wardrobe; or a baseline: animatable-gaussians (one layer, shape kept), layga (body and one "
+        "clothing layer on its surface; an approximation).",
+    )
+    without: tuple[str, ...] = option((), "Ablation: parts to leave out.", metavar="PARTS")
     takes: tuple[str, ...] = field(default=(), metadata={"said_if_set": True})
-    from_layers: tuple[str, ...] = field(default=(), metadata={"said_if_set": True})
-    recompute: bool = field(default=False, metadata={"affects_result": False})
-    device: str = field(default="auto", metadata={"affects_result": False})
+    from_layers: tuple[str, ...] = option(
+        (),
+        "With --from-subject: only these layers; body alone where another shirt is worn under the garment.",
+        metavar="LAYERS", said_if_set=True,
+    )  # fmt: skip
+    recompute: bool = option(
+        False,
+        "Compute the networks' activations again in the backward pass instead of keeping them: the same "
+        "result in less memory, for about a third more time in the networks.",
+        flag="--recompute", affects_result=False,
+    )  # fmt: skip
+    device: str = option("auto", "auto | cpu | cuda.", choices=("auto", "cpu", "cuda"), affects_result=False)
 
 
 _ECONOMY = LossWeights(

@@ -18,11 +18,19 @@ def _field(default: Any, **metadata: Any) -> Any:
 
 
 @dataclass(frozen=True)
+class Inner:
+    step: int = _field(3, min=1, flag="--inner-step")
+    kind: str = _field("a", choices=("a", "b"))
+    depth: int = 7
+
+
+@dataclass(frozen=True)
 class Config:
     size: int = _field(10, min=2)
     words: tuple[str, ...] = _field((), flag="--word")
     strict: bool = _field(True)
     secret: float = _field(0.5)
+    inner: Inner = field(default_factory=Inner)
 
 
 PRESETS = {"draft": Config(), "paper": Config(size=90)}
@@ -49,13 +57,16 @@ def _run(*arguments: str) -> tuple[int, list[Config], str]:
         (("--preset", "paper"), Config(size=90)),
         (("--preset", "paper", "--size", "10"), Config()),
         (("--word", "a, b", "--no-strict"), Config(words=("a", "b"), strict=False)),
+        (("--inner-step", "4", "--kind", "b"), Config(inner=Inner(4, "b"))),
     ],
 )
 def test_options_change_the_preset(arguments: tuple[str, ...], expected: Config) -> None:
     assert _run(*arguments)[:2] == (0, [expected])
 
 
-@pytest.mark.parametrize("arguments", [("--size", "1"), ("--secret", "1"), ("--preset", "huge")])
+@pytest.mark.parametrize(
+    "arguments", [("--size", "1"), ("--secret", "1"), ("--preset", "huge"), ("--kind", "c"), ("--depth", "1")]
+)
 def test_what_the_fields_do_not_allow_is_refused(arguments: tuple[str, ...]) -> None:
     code, seen, _ = _run(*arguments)
     assert code != 0 and not seen

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from stages.shared.layers import BODY
+from stages.shared.option import option
 
 NETWORKS = ("all", "garments", "none")
 
@@ -40,11 +41,20 @@ class ModelConfig:
         offset_scale: metres per unit of network output. max_scale: m, ceiling of a Gaussian; 0 for none.
     """
 
-    decoder: str = "styleunet"
-    ranks: tuple[int, int, int] = (24, 8, 4)
+    decoder: str = option(
+        "styleunet",
+        "styleunet (the published networks, and key poses) | blendshapes (bases per texel, driven by the "
+        "pose: play in real time; without tracking).",
+    )
+    ranks: tuple[int, int, int] = option(
+        (24, 8, 4), "Of blendshapes: numbers of bases for offsets, colours and form."
+    )
     heads: str = "joint"
-    networks: str = "all"
-    width: float = 0.125
+    networks: str = option("all", "Which layers have networks: all | garments | none.")
+    width: float = option(
+        0.125, "Multiplier of the networks' widths; 1 is the published.",
+        flag="--network-width", min=0.03125, max=4,
+    )  # fmt: skip
     depth: int = 4
     style: int = 64
     factor: int = 4
@@ -53,7 +63,12 @@ class ModelConfig:
     anchors: int = 0
     anchor_cell: int = 4
     anchor_widths: str = "shared"
-    history: int = 0
+    history: int = option(
+        0,
+        "Memories of recent motion (fading in 0.1, 0.3, 0.9 … s) that garments see in addition to the pose; "
+        "0 for the pose alone. Still poses have no motion.",
+        min=0, max=6,
+    )  # fmt: skip
     pose_prior: int = 0
     pose_sigma: float = 2.0
     base: bool = True

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
+from stages.shared.option import option
 from stages.shared.splat.settings import ALPHA_MIN, TRANSMITTANCE_MIN
 
 CANONICAL = "canonical"
 """Given in place of a pose file: the canonical pose of the maps."""
-
-
-def option(default: Any, help: str, **metadata: Any) -> Any:
-    """A dataclass field with its help and, where they apply, `min`, `max`, `metavar` and `flag`."""
-    return field(default=default, metadata={"help": help, **metadata})
 
 
 @dataclass(frozen=True)

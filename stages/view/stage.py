@@ -16,10 +16,10 @@ from stages.shared.outfit.sources import parse_betas
 from stages.shared.plan import Plan
 from stages.shared.poses.read import load_poses
 from stages.shared.report import SILENT, Report
+from stages.view.catalog import open_catalog
 from stages.view.config import ViewConfig
 from stages.view.server import Viewer
-from stages.view.shelf import open_shelf
-from stages.view.show import AS_THEY_ARE, Show, canonical_motion
+from stages.view.session import UNCHANGED_MOTIONS, ViewerSession, canonical_motion
 
 
 def open_viewer(
@@ -40,16 +40,16 @@ def open_viewer(
     """
     parse_betas(config.betas)
     report.step("reading")
-    shelf, left_out = open_shelf(sources, wardrobe, config)
+    catalog, left_out = open_catalog(sources, wardrobe, config)
     for reason in left_out:
         report.warn(f"left out: {reason}")
-    body = shelf.outfit(shelf.worn, None).body_model
+    body = catalog.outfit(catalog.worn, None).body_model
     motions = [(path.name, load_poses(path, body, config.fps or None, report=report)) for path in poses]
-    if shelf.own_poses is not None:
-        motions.append((AS_THEY_ARE[1], shelf.own_poses))
+    if catalog.subject_poses is not None:
+        motions.append((UNCHANGED_MOTIONS[1], catalog.subject_poses))
     motions.append(canonical_motion())
-    show = Show(shelf, motions, (config.width, config.height))
-    return Viewer(config.host, config.port, show, config.betas)
+    session = ViewerSession(catalog, motions, (config.width, config.height))
+    return Viewer(config.host, config.port, session, config.betas)
 
 
 def run(
@@ -75,8 +75,8 @@ def plan(
     sources: Sequence[Path], wardrobe: Path | None, poses: Sequence[Path], config: ViewConfig = ViewConfig()
 ) -> Plan:
     """What `run` would read; it writes nothing."""
-    shelf, _ = open_shelf(sources, wardrobe, config)
-    outfit = shelf.outfit(shelf.worn, parse_betas(config.betas))
+    catalog, _ = open_catalog(sources, wardrobe, config)
+    outfit = catalog.outfit(catalog.worn, parse_betas(config.betas))
     for path in poses:
         load_poses(path, outfit.body_model, config.fps or None)
     extra = [] if wardrobe is None else [wardrobe]

@@ -6,7 +6,7 @@ const BLUR = 0.3; // px², added to both axes of every projected Gaussian
 const ALPHA_MIN = 1 / 255; // below this a Gaussian is left out of a pixel
 const ALPHA_MAX = 0.999;
 const NEAR = 0.01; // m
-const TEXTURE_WIDTH = 2048; // texels; three of them hold a Gaussian
+const TEXTURE_WIDTH = 2048; // texels; two of them hold a Gaussian: place and tint, then covariance in halves
 const DEPTH_BINS = 65536;
 
 const SPLAT_VERTEX = `#version 300 es
@@ -16,6 +16,7 @@ uniform highp usampler2D gaussians;
 uniform mat4 cameraFromWorld;
 uniform vec4 intrinsics; // fx, fy, cx, cy in px
 uniform vec2 size;       // px
+uniform float unit;      // m² of one in a covariance
 in uint index;
 flat out vec4 tint;
 flat out vec3 conic;
@@ -24,20 +25,18 @@ const vec2 CORNERS[4] = vec2[4](vec2(-1, -1), vec2(1, -1), vec2(-1, 1), vec2(1, 
 
 void main() {
   gl_Position = vec4(0, 0, 2, 1); // outside, unless everything below is fine
-  int at = int(index) * 3;
+  int at = int(index) * 2;
   ivec2 place = ivec2(at % ${TEXTURE_WIDTH}, at / ${TEXTURE_WIDTH});
   uvec4 first = texelFetch(gaussians, place, 0);
-  at += 1; place = ivec2(at % ${TEXTURE_WIDTH}, at / ${TEXTURE_WIDTH});
-  vec4 upper = uintBitsToFloat(texelFetch(gaussians, place, 0));
-  at += 1; place = ivec2(at % ${TEXTURE_WIDTH}, at / ${TEXTURE_WIDTH});
-  vec4 lower = uintBitsToFloat(texelFetch(gaussians, place, 0));
+  uvec4 halves = texelFetch(gaussians, place + ivec2(1, 0), 0);
+  vec2 a = unit * unpackHalf2x16(halves.x), b = unit * unpackHalf2x16(halves.y), c = unit * unpackHalf2x16(halves.z);
 
   vec3 point = (cameraFromWorld * vec4(uintBitsToFloat(first.xyz), 1)).xyz;
   if (point.z < ${NEAR}) return;
   vec2 focal = intrinsics.xy, centre = intrinsics.zw;
   vec2 margin = 0.15 * size / focal;
   vec2 slope = clamp(point.xy / point.z, -centre / focal - margin, (size - centre) / focal + margin);
-  mat3 covariance = mat3(upper.x, upper.y, upper.z, upper.y, upper.w, lower.x, upper.z, lower.x, lower.y);
+  mat3 covariance = mat3(a.x, a.y, b.x, a.y, b.y, c.x, b.x, c.x, c.y);
   mat3 rotation = mat3(cameraFromWorld);
   vec3 rowX = vec3(focal.x / point.z, 0, -focal.x * slope.x / point.z) * rotation;
   vec3 rowY = vec3(0, focal.y / point.z, -focal.y * slope.y / point.z) * rotation;
@@ -86,46 +85,87 @@ void main() {
   color = seen + (1.0 - seen.a) * vec4(background.rgb * background.a, background.a);
 }`;
 
-/** The Gaussians of one moment, out of the bytes that stages/shared/web/pack.py wrote. */
-function unpackGaussians(buffer) {
+/** JSON text and columns of what stages/shared/web/pack.py wrote: {info, take(kind, count)}. */
+function openPacked(buffer, magic) {
   const view = new DataView(buffer);
-  if (view.getUint32(0, true) !== 0x53575347) throw new Error("these are no packed Gaussians");
+  if (view.getUint32(0, true) !== magic) throw new Error("these are no packed Gaussians");
   const length = view.getUint32(4, true);
   const info = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 8, length)));
   let at = 8 + length + ((4 - (length % 4)) % 4);
-  const n = info.count;
   const take = (kind, count) => {
     const array = new kind(buffer, at, count);
     at += Math.ceil((count * kind.BYTES_PER_ELEMENT) / 4) * 4;
     return array;
   };
-  const places = take(Uint16Array, 3 * n), turns = take(Int16Array, 4 * n);
-  const sizes = take(Uint16Array, 3 * n), tints = take(Uint32Array, n);
-  const means = new Float32Array(3 * n), covariances = new Float32Array(6 * n);
-  const step = (range) => (range[1] - range[0]) / 65535;
+  return { info, take };
+}
+
+/** Room for n Gaussians in a texture: {texels, floats}, two views of the same memory. */
+function newTexels(n) {
+  const texels = new Uint32Array(Math.max(1, Math.ceil((2 * n) / TEXTURE_WIDTH)) * TEXTURE_WIDTH * 4);
+  return { texels, floats: new Float32Array(texels.buffer) };
+}
+
+/** The Gaussians of one frame as texels of a texture: {count, layers, unit, texels, floats, middle, info}. */
+function unpackGaussians(buffer) {
+  const { info, take } = openPacked(buffer, 0x32575347);
+  const n = info.count, { texels, floats } = newTexels(n);
+  const places = take(Uint16Array, 3 * n), covariances = take(Uint16Array, 6 * n), tints = take(Uint32Array, n);
+  const middle = [0, 0, 0];
   for (let axis = 0; axis < 3; axis++) {
-    const [low] = info.places[axis], width = step(info.places[axis]);
-    for (let i = 0; i < n; i++) means[3 * i + axis] = low + width * places[3 * i + axis];
+    const [low, high] = info.places[axis], step = (high - low) / 65535;
+    let total = 0;
+    for (let i = 0; i < n; i++) total += floats[8 * i + axis] = low + step * places[3 * i + axis];
+    middle[axis] = total / Math.max(1, n);
   }
-  const lowest = info.sizes[0], width = step(info.sizes);
+  const pairs = new Uint32Array(covariances.buffer, covariances.byteOffset, 3 * n);
   for (let i = 0; i < n; i++) {
-    let [w, x, y, z] = [turns[4 * i], turns[4 * i + 1], turns[4 * i + 2], turns[4 * i + 3]];
-    const norm = 1 / Math.hypot(w, x, y, z);
-    w *= norm; x *= norm; y *= norm; z *= norm;
-    const columns = [
-      [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)],
-      [2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)],
-      [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)],
-    ];
-    let k = 6 * i;
-    for (let row = 0; row < 3; row++)
-      for (let column = row; column < 3; column++, k++)
-        for (let axis = 0; axis < 3; axis++) {
-          const variance = Math.exp(2 * (lowest + width * sizes[3 * i + axis]));
-          covariances[k] += variance * columns[axis][row] * columns[axis][column];
-        }
+    texels[8 * i + 3] = tints[i];
+    texels[8 * i + 4] = pairs[3 * i];
+    texels[8 * i + 5] = pairs[3 * i + 1];
+    texels[8 * i + 6] = pairs[3 * i + 2];
   }
-  return { count: n, layers: info.layers, means, covariances, tints };
+  return { count: n, layers: info.layers, unit: info.unit, texels, floats, middle, info };
+}
+
+/** Indices of the visible Gaussians, nearest first, by counting. hidden: names of layers that are off. */
+function sortGaussians({ floats, layers, count }, view, hidden) {
+  const depths = new Float32Array(count), shown = new Uint32Array(count);
+  let drawn = 0, low = Infinity, high = -Infinity;
+  for (const layer of layers) {
+    if (hidden.has(layer.name)) continue;
+    for (let i = layer.start; i < layer.start + layer.count; i++) {
+      const depth = view[8] * floats[8 * i] + view[9] * floats[8 * i + 1] + view[10] * floats[8 * i + 2] + view[11];
+      if (depth < NEAR) continue;
+      depths[drawn] = depth;
+      shown[drawn++] = i;
+      if (depth < low) low = depth;
+      if (depth > high) high = depth;
+    }
+  }
+  const scale = high > low ? (DEPTH_BINS - 1) / (high - low) : 0;
+  const starts = new Uint32Array(DEPTH_BINS + 1), bins = new Uint16Array(drawn);
+  for (let k = 0; k < drawn; k++) {
+    bins[k] = (depths[k] - low) * scale;
+    starts[bins[k] + 1]++;
+  }
+  for (let bin = 0; bin < DEPTH_BINS; bin++) starts[bin + 1] += starts[bin];
+  const sorted = new Uint32Array(drawn);
+  for (let k = 0; k < drawn; k++) sorted[starts[bins[k]]++] = shown[k];
+  return sorted;
+}
+
+/** Box around the Gaussians without the outermost hundredth: {low, high}. */
+function boxOf({ floats, count }) {
+  const box = { low: [0, 0, 0], high: [0, 0, 0] };
+  for (let axis = 0; axis < 3; axis++) {
+    const values = new Float32Array(count);
+    for (let i = 0; i < count; i++) values[i] = floats[8 * i + axis];
+    values.sort();
+    box.low[axis] = values[Math.floor(0.002 * count)] || 0;
+    box.high[axis] = values[Math.ceil(0.998 * (count - 1))] || 0;
+  }
+  return box;
 }
 
 /** A canvas that shows Gaussians; the camera is given as gw has it (x right, y down, z forward). */
@@ -157,28 +197,33 @@ class SplatCanvas {
     gl.bindVertexArray(null);
   }
 
-  /** Take the Gaussians of another moment or outfit. */
-  set(gaussians) {
-    const gl = this.gl, n = gaussians.count;
-    const rows = Math.max(1, Math.ceil((3 * n) / TEXTURE_WIDTH));
-    const texels = new Uint32Array(rows * TEXTURE_WIDTH * 4), floats = new Float32Array(texels.buffer);
-    for (let i = 0; i < n; i++) {
-      const at = 12 * i;
-      floats.set(gaussians.means.subarray(3 * i, 3 * i + 3), at);
-      texels[at + 3] = gaussians.tints[i];
-      floats.set(gaussians.covariances.subarray(6 * i, 6 * i + 6), at + 4);
-    }
+  /** Take the Gaussians of another frame or outfit. order: their indices when someone else sorts them. */
+  set(gaussians, order) {
+    const gl = this.gl, rows = gaussians.texels.length / (4 * TEXTURE_WIDTH);
     gl.bindTexture(gl.TEXTURE_2D, this.texture);
-    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32UI, TEXTURE_WIDTH, rows, 0, gl.RGBA_INTEGER, gl.UNSIGNED_INT, texels);
-    this._nearest();
+    if (this.rows === rows)
+      gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, TEXTURE_WIDTH, rows, gl.RGBA_INTEGER, gl.UNSIGNED_INT, gaussians.texels);
+    else {
+      gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32UI, TEXTURE_WIDTH, rows, 0, gl.RGBA_INTEGER, gl.UNSIGNED_INT, gaussians.texels);
+      this._nearest();
+      this.rows = rows;
+    }
     this.gaussians = gaussians;
+    this.setOrder(order);
+  }
+
+  /** Take another order of the same Gaussians; without one they are sorted when they are drawn. */
+  setOrder(order) {
+    this.sorted = order;
+    if (order) this._upload(order);
   }
 
   /** Draw. camera: {width, height, intrinsics: [fx, fy, cx, cy], cameraFromWorld: 16 numbers, row by row}. */
   draw(camera) {
     const gl = this.gl;
     this._resize(camera.width, camera.height);
-    const drawn = this._sort(camera.cameraFromWorld);
+    if (this.gaussians && !this.sorted) this._upload(sortGaussians(this.gaussians, camera.cameraFromWorld, this.hidden));
+    const drawn = this.gaussians ? this.drawn : 0;
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.framebuffer);
     gl.viewport(0, 0, camera.width, camera.height);
     gl.clearColor(0, 0, 0, 0);
@@ -191,6 +236,7 @@ class SplatCanvas {
     gl.uniformMatrix4fv(gl.getUniformLocation(this.splats, "cameraFromWorld"), true, camera.cameraFromWorld);
     gl.uniform4fv(gl.getUniformLocation(this.splats, "intrinsics"), camera.intrinsics);
     gl.uniform2f(gl.getUniformLocation(this.splats, "size"), camera.width, camera.height);
+    gl.uniform1f(gl.getUniformLocation(this.splats, "unit"), this.gaussians ? this.gaussians.unit : 1);
     gl.bindVertexArray(this.array);
     if (drawn) gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, drawn);
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
@@ -203,34 +249,10 @@ class SplatCanvas {
     gl.bindVertexArray(null);
   }
 
-  /** Order of the visible Gaussians, nearest first, by counting; returns how many there are. */
-  _sort(view) {
-    const { means, layers, count } = this.gaussians || { means: [], layers: [], count: 0 };
-    const depths = new Float32Array(count), shown = new Uint32Array(count);
-    let drawn = 0, low = Infinity, high = -Infinity;
-    for (const layer of layers) {
-      if (this.hidden.has(layer.name)) continue;
-      for (let i = layer.start; i < layer.start + layer.count; i++) {
-        const depth = view[8] * means[3 * i] + view[9] * means[3 * i + 1] + view[10] * means[3 * i + 2] + view[11];
-        if (depth < NEAR) continue;
-        depths[drawn] = depth;
-        shown[drawn++] = i;
-        if (depth < low) low = depth;
-        if (depth > high) high = depth;
-      }
-    }
-    const scale = high > low ? (DEPTH_BINS - 1) / (high - low) : 0;
-    const starts = new Uint32Array(DEPTH_BINS + 1), bins = new Uint16Array(drawn);
-    for (let k = 0; k < drawn; k++) {
-      bins[k] = (depths[k] - low) * scale;
-      starts[bins[k] + 1]++;
-    }
-    for (let bin = 0; bin < DEPTH_BINS; bin++) starts[bin + 1] += starts[bin];
-    const sorted = new Uint32Array(drawn);
-    for (let k = 0; k < drawn; k++) sorted[starts[bins[k]]++] = shown[k];
+  _upload(order) {
     this.gl.bindBuffer(this.gl.ARRAY_BUFFER, this.order);
-    this.gl.bufferData(this.gl.ARRAY_BUFFER, sorted, this.gl.DYNAMIC_DRAW);
-    return drawn;
+    this.gl.bufferData(this.gl.ARRAY_BUFFER, order, this.gl.DYNAMIC_DRAW);
+    this.drawn = order.length;
   }
 
   _resize(width, height) {
@@ -293,6 +315,18 @@ class OrbitCamera {
     return { width, height, intrinsics: [focal, focal, width / 2, height / 2], cameraFromWorld: [...rows, 0, 0, 0, 1] };
   }
 
+  /** Stand so that a box {low, high} fits into `free` (width, height in px) of a picture of this size. */
+  fit(box, free, width, height) {
+    const focal = (0.5 * Math.max(width, height)) / Math.tan((this.fieldOfView * Math.PI) / 360);
+    const half = box.high.map((high, axis) => (high - box.low[axis]) / 2);
+    const across = Math.abs(half[0] * Math.cos(this.azimuth)) + Math.abs(half[2] * Math.sin(this.azimuth));
+    const along = Math.abs(half[2] * Math.cos(this.azimuth)) + Math.abs(half[0] * Math.sin(this.azimuth));
+    this.target = box.high.map((high, axis) => (high + box.low[axis]) / 2);
+    this.distance = along + focal * Math.max(half[1] / (0.45 * free.height), across / (0.45 * free.width));
+    Object.assign(this.home, { target: [...this.target], distance: this.distance });
+    this.changed();
+  }
+
   turn(dx, dy) {
     this.azimuth -= 0.008 * dx;
     this.tilt = Math.min(1.5, Math.max(-1.5, this.tilt + 0.008 * dy));
@@ -314,6 +348,16 @@ class OrbitCamera {
   listen(element) {
     const fingers = new Map();
     element.style.touchAction = "none";
+    const keys = { ArrowLeft: [-12, 0], ArrowRight: [12, 0], ArrowUp: [0, -12], ArrowDown: [0, 12] };
+    addEventListener("keydown", (event) => {
+      if (event.target !== document.body && event.target !== element) return;
+      if (keys[event.key] && event.shiftKey) this.move(...keys[event.key], element.clientHeight);
+      else if (keys[event.key]) this.turn(...keys[event.key]);
+      else if (event.key === "+" || event.key === "-") this.approach(event.key === "+" ? 0.9 : 1 / 0.9);
+      else if (event.key === "Home") this.reset();
+      else return;
+      event.preventDefault();
+    });
     element.addEventListener("pointerdown", (event) => {
       element.setPointerCapture(event.pointerId);
       fingers.set(event.pointerId, [event.clientX, event.clientY]);

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.shared.export.cloud import cloud_of
 from stages.shared.outfit.viewpoints import look_at_camera
 from stages.shared.web.pack import pack_gaussians
 from stages.shared.web.start import orbit_start, viewer_script
@@ -22,10 +21,10 @@ REPOSITORY = Path(__file__).resolve().parents[3]
 def unpacked(data: bytes) -> tuple[dict, list[np.ndarray]]:
     """As viewer.js reads it."""
     magic, length = struct.unpack_from("<II", data)
-    assert magic == 0x53575347
+    assert magic == 0x32575347
     info, at = json.loads(data[8 : 8 + length]), 8 + length + -length % 4
     columns = []
-    for kind, width in (("<u2", 3), ("<i2", 4), ("<u2", 3), ("u1", 4)):
+    for kind, width in (("<u2", 3), ("<f2", 6), ("u1", 4)):
         values = np.frombuffer(data, kind, info["count"] * width, at).reshape(-1, width)
         columns.append(values.astype(float))
         at += values.nbytes + -values.nbytes % 4
@@ -35,16 +34,16 @@ def unpacked(data: bytes) -> tuple[dict, list[np.ndarray]]:
 
 def test_packed_gaussians_keep_their_place_form_and_colour() -> None:
     composite = outfit("body", "upper").composite(motion(), 4)
-    info, (places, turns, sizes, tints) = unpacked(pack_gaussians(composite))
-    cloud = cloud_of(composite)
+    info, (places, covariances, tints) = unpacked(pack_gaussians(composite, row=4))
+    assert info["row"] == 4
     low, high = np.array(info["places"]).T
-    np.testing.assert_allclose(low + places * (high - low) / 65535, cloud.means, atol=1e-5)
-    turns /= np.linalg.norm(turns, axis=1, keepdims=True)
-    np.testing.assert_allclose(turns, cloud.quats, atol=3e-5)
-    scales = np.exp(info["sizes"][0] + sizes * (info["sizes"][1] - info["sizes"][0]) / 65535)
-    np.testing.assert_allclose(scales, cloud.scales, rtol=5e-4)
-    np.testing.assert_allclose(tints[:, :3] / 255, cloud.colors, atol=0.5001 / 255)
-    np.testing.assert_allclose(tints[:, 3] / 255, cloud.opacities, atol=0.5001 / 255)
+    means = low + places * (high - low) / 65535
+    np.testing.assert_allclose(means, composite.means.numpy(), atol=1e-5)
+    upper = composite.covariances.numpy()[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
+    largest = np.abs(upper).max(axis=1, keepdims=True)
+    assert (np.abs(info["unit"] * covariances - upper) / largest).max() < 2**-10
+    np.testing.assert_allclose(tints[:, :3] / 255, composite.features[:, :3].numpy(), atol=0.5001 / 255)
+    np.testing.assert_allclose(tints[:, 3] / 255, composite.opacities.numpy(), atol=0.5001 / 255)
     counts = [int((composite.layer_ids == index).sum()) for index in (0, 1)]
     assert [(layer["name"], layer["start"], layer["count"]) for layer in info["layers"]] == [
         ("body", 0, counts[0]),

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import http.client
 import json
+import socket
+import struct
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -23,7 +26,7 @@ from stages.shared.outfit.sources import parse_betas, read_bundles
 from stages.view import stage
 from stages.view.config import ViewConfig
 from stages.view.server import Viewer
-from stages.view.show import camera_of
+from stages.view.session import camera_of
 from tests.browser import browser_page
 from tests.listening import Listener
 from tests.shared.outfit.wardrobe import motion
@@ -75,7 +78,7 @@ def test_the_browser_shows_what_we_render(viewer: Viewer, wardrobe: Path) -> Non
             return tab.screenshot()
 
         def settled() -> None:
-            tab.wait_for("!asking && !waiting")
+            tab.wait_for("!asking && !waiting && !sorting")
 
         free = (slice(0, 420), slice(0, 440))
         tab.open(viewer.url)
@@ -104,20 +107,23 @@ def test_the_browser_shows_what_we_render(viewer: Viewer, wardrobe: Path) -> Non
         np.testing.assert_allclose(own, body.arrays["betas"], atol=0.051)
         tab.run("const beta = document.querySelector('[name=beta-0]'); beta.value = 3;"
                 "beta.dispatchEvent(new Event('input'))")  # fmt: skip
-        tab.wait_for("gw.wish.betas.startsWith('3')")
+        tab.wait_for("gw.request.betas.startsWith('3')")
         settled()
         third = shown()
         assert (
-            psnr(third[free], truth(tab, ("body", "lower", "upper"), 4, tab.run("gw.wish.betas"))[free]) > BAR
+            psnr(third[free], truth(tab, ("body", "lower", "upper"), 4, tab.run("gw.request.betas"))[free])
+            > BAR
         )
 
         tab.run("document.querySelector('[name=layer-lower]').click()")
+        settled()
         assert psnr(shown()[free], third[free]) < 40
         data = tab.run(
             "picture('#ffffff').then((blob) => blob.arrayBuffer()).then((data) => [...new Uint8Array(data)])"
         )
         saved = cv2.imdecode(np.array(data, np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
-        assert saved.shape == (480, 720, 3) and psnr(shown()[free], saved[free]) > BAR
+        # Only the picture has the penetration pass, which changes the thin upper layer a little.
+        assert saved.shape == (480, 720, 3) and psnr(shown()[free], saved[free]) > 34
         before = tab.run("gw.drawn")
         tab.run("play(), 0")
         tab.wait_for(f"gw.drawn > {before} + 2")
@@ -139,7 +145,7 @@ def test_what_is_answered(viewer: Viewer) -> None:
     assert (
         "default-src 'none'" in headers["content-security-policy"] and headers["cache-control"] == "no-store"
     )
-    assert fetched(viewer, "/gaussians?wear=body&row=2")[1][:4] == b"GSWS"
+    assert fetched(viewer, "/gaussians?wear=body&row=2")[1][:4] == b"GSW2"
     camera = {"width": 40, "height": 30, "intrinsics": [60, 60, 20, 15]}
     camera["cameraFromWorld"] = [1, 0, 0, 0, 0, -1, 0, 0, 0, 0, -1, 2, 0, 0, 0, 1]  # type: ignore[assignment]
     wish = {"wear": ["body", "upper"], "row": 1, "camera": camera, "background": "transparent"}
@@ -179,6 +185,159 @@ def test_what_is_refused(viewer: Viewer) -> None:
     assert fetched(viewer, "/show")[0] == 200  # still there
 
 
+STRANGE: list[tuple[str, str, Any, dict[str, str]]] = [
+    ("POST", "/picture", b'{"wear": ["body"], "row": 1e400}', {}),
+    ("POST", "/picture", b'{"wear": ["body"], "motion": -1e999}', {}),
+    ("POST", "/picture", {"wear": 5}, {}),
+    ("POST", "/picture", {"wear": None}, {}),
+    ("POST", "/picture", {"wear": [["body"]]}, {}),
+    ("POST", "/picture", {"wear": ["body"], "camera": 3}, {}),
+    ("POST", "/picture", {"wear": ["body"], "camera": {"intrinsics": [10**4000] * 4}}, {}),
+    ("POST", "/picture", b"[" * 60_000, {}),
+    ("POST", "/picture", b"\xff\xfe", {}),
+    ("POST", "/picture", b"", {"Content-Length": "9" * 4901}),
+    ("POST", "/picture", b"", {"Content-Length": "-1"}),
+    ("POST", "/picture", b"", {"Content-Length": "\u0663"}),
+    ("POST", "/bundle?name=../../x", b"no bundle", {}),
+    ("POST", "/bundle", b"", {}),
+    ("GET", "http://[", None, {}),
+    ("GET", "//[::1", None, {}),
+    ("GET", "/gaussians?row=" + "9" * 5000, None, {}),
+    ("GET", "/gaussians?" + "&".join(f"a{i}=1" for i in range(99)), None, {}),
+    ("GET", "/stream?wear=body&row=99", None, {}),
+    ("GET", "/body?wear=upper", None, {}),
+    ("GET", "/preview?name=../x", None, {}),
+]
+
+
+@pytest.mark.parametrize("case", range(len(STRANGE)))
+def test_every_request_is_answered_with_a_status(
+    case: int, viewer: Viewer, capfd: pytest.CaptureFixture[str]
+) -> None:
+    method, path, body, headers = STRANGE[case]
+    text = body if isinstance(body, bytes) or body is None else json.dumps(body).encode()
+    length = {} if text is None or "Content-Length" in headers else {"Content-Length": str(len(text))}
+    lines = [f"{method} {path} HTTP/1.1", f"Host: 127.0.0.1:{viewer.server_address[1]}"]
+    lines += [f"{name}: {value}" for name, value in {**headers, **length}.items()]
+    with socket.create_connection(("127.0.0.1", viewer.server_address[1]), 20) as connection:
+        connection.sendall("\r\n".join([*lines, "", ""]).encode() + (text or b""))
+        answer = connection.recv(1 << 16)
+    assert answer.startswith(b"HTTP/1.1 4"), answer[:200]
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {"Origin": "https://evil.example"},
+        {"Origin": "null"},
+        {"Origin": "http://127.0.0.1:1"},
+        {"Sec-Fetch-Site": "cross-site"},
+        {"Sec-Fetch-Site": "same-site"},
+        {"Host": "evil.example"},
+    ],
+)
+def test_another_origin_is_refused_before_anything_is_rendered(
+    headers: dict[str, str], viewer: Viewer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(viewer.session, "picture", lambda *given: pytest.fail("rendered"))
+    monkeypatch.setattr(viewer.session, "gaussians", lambda *given: pytest.fail("posed"))
+    camera = {"width": 40, "height": 30, "intrinsics": [60, 60, 20, 15], "cameraFromWorld": [0] * 16}
+    assert fetched(viewer, "/picture", "POST", {"wear": ["body"], "camera": camera}, **headers)[0] == 403
+    assert fetched(viewer, "/gaussians?wear=body", **headers)[0] == 403
+    assert fetched(viewer, "http://evil.example/show")[0] == 403
+    own = f"http://127.0.0.1:{viewer.server_address[1]}"
+    assert fetched(viewer, "/show", Origin=own, **{"Sec-Fetch-Site": "same-origin"})[0] == 200
+
+
+@pytest.mark.parametrize(("width", "height"), [(4097, 10), (10, 5000), (4096, 4096)])
+def test_pictures_are_bounded_by_what_a_page_can_show(width: int, height: int, viewer: Viewer) -> None:
+    matrix = [1, 0, 0, 0, 0, -1, 0, 0, 0, 0, -1, 2, 0, 0, 0, 1]
+    camera = {"width": width, "height": height, "intrinsics": [60, 60, 20, 15], "cameraFromWorld": matrix}
+    status, answer, _ = fetched(viewer, "/picture", "POST", {"wear": ["body"], "camera": camera})
+    assert status == 400 and "too large" in json.loads(answer)["error"]
+
+
+def test_frames_are_streamed_until_the_page_leaves(viewer: Viewer, capfd: pytest.CaptureFixture[str]) -> None:
+    """One connection brings frame after frame; those that are closed leave room for others."""
+    for _ in range(6):
+        connection = http.client.HTTPConnection("127.0.0.1", viewer.server_address[1], timeout=30)
+        connection.request("GET", "/stream?wear=body,upper&row=3")
+        answer, rows = connection.getresponse(), []
+        for _ in range(4):
+            (length,) = struct.unpack("<I", answer.read(4))
+            frame = answer.read(length)
+            text = struct.unpack_from("<I", frame, 4)[0]
+            info = json.loads(frame[8 : 8 + text])
+            rows.append((info["row"], info["place"]))
+        assert rows[0] == (3, 0) and all(row == (3 + place) % 5 for row, place in rows)
+        assert [place for _, place in rows] == sorted({place for _, place in rows})
+        answer.close()
+        connection.close()
+        deadline = time.monotonic() + 10
+        while not viewer.streams.acquire(blocking=False):
+            assert time.monotonic() < deadline
+        viewer.streams.release()
+    assert capfd.readouterr() == ("", "")
+
+
+def test_too_many_streams_are_turned_away(viewer: Viewer) -> None:
+    taken = 0
+    while viewer.streams.acquire(blocking=False):
+        taken += 1
+    try:
+        assert fetched(viewer, "/stream?wear=body")[0] == 503
+    finally:
+        for _ in range(taken):
+            viewer.streams.release()
+
+
+def test_the_viewer_listens_on_ipv6(wardrobe: Path) -> None:
+    try:
+        socket.create_server(("::1", 0), family=socket.AF_INET6).close()
+    except OSError:
+        pytest.skip("no IPv6 on this machine")
+    with stage.open_viewer([wardrobe / "body.gwg"], config=ViewConfig("::1", 0)) as made:
+        thread = threading.Thread(target=made.serve_forever, args=(0.05,), daemon=True)
+        thread.start()
+        assert made.url == f"http://[::1]:{made.server_address[1]}/" and not made.token
+        connection = http.client.HTTPConnection("::1", made.server_address[1], timeout=30)
+        connection.request("GET", "/show")
+        assert connection.getresponse().status == 200
+        made.shutdown()
+        thread.join(10)
+
+
+def test_height_and_girth_follow_the_shape(viewer: Viewer) -> None:
+    def body(betas: str) -> dict[str, Any]:
+        return dict(json.loads(fetched(viewer, f"/body?wear=body&betas={betas}")[1]))
+
+    usual, taller, wider = body("0"), body("3"), body("0,3")
+    assert 140 < usual["height_cm"] < 200 and 50 < usual["girth_cm"] < 130
+    assert taller["height_cm"] > usual["height_cm"] + 5
+    assert abs(wider["girth_cm"] - usual["girth_cm"]) > 3
+    assert len(usual["betas"]) == 10 and usual["betas"] == wider["betas"]
+
+
+def test_bundles_can_be_brought_by_the_page(viewer: Viewer, wardrobe: Path, tmp_path: Path) -> None:
+    from dataclasses import replace
+
+    from stages.shared.artifacts.bundle import read_bundle, write_bundle
+
+    coat = read_bundle(wardrobe / "upper.gwg")
+    write_bundle(tmp_path / "red.gwg", replace(coat, manifest={**coat.manifest, "note": "red"}))
+    data = (tmp_path / "red.gwg").read_bytes()
+    status, answer, _ = fetched(viewer, "/bundle?name=red.gwg", "POST", data)
+    added = json.loads(answer)
+    assert status == 200 and added["name"] == "red" and "red" in [one["name"] for one in added["pieces"]]
+    assert fetched(viewer, "/gaussians?wear=body,red")[0] == 200
+    assert fetched(viewer, "/preview?name=red")[1][:4] == b"\x89PNG"
+    assert json.loads(fetched(viewer, "/bundle?name=again.gwg", "POST", data)[1])["name"] == "red"
+    assert fetched(viewer, "/bundle?name=bad.gwg", "POST", data[:-1])[0] == 400
+    assert not list(wardrobe.glob("red*"))
+    del viewer.session.catalog.items["red"]
+
+
 def test_beyond_this_machine_a_token_is_asked_for(wardrobe: Path) -> None:
     tokens = set()
     for _ in range(2):
@@ -198,16 +357,16 @@ def test_beyond_this_machine_a_token_is_asked_for(wardrobe: Path) -> None:
         assert made.token == "" and made.server_address[0] == "127.0.0.1"
 
 
-def test_what_is_on_the_shelf(dressed_subject: Path, wardrobe: Path, tmp_path: Path) -> None:
+def test_what_is_in_the_catalogue(dressed_subject: Path, wardrobe: Path, tmp_path: Path) -> None:
     (tmp_path / "broken.gwg").write_bytes((wardrobe / "upper.gwg").read_bytes()[:-1])
     (tmp_path / "body.gwg").write_bytes((wardrobe / "body.gwg").read_bytes())
     heard = Listener()
     with stage.open_viewer([], tmp_path, [], FREE, heard) as made:
-        assert [piece["name"] for piece in made.show.shelf.described()] == ["body"]
-        assert made.show.shelf.worn == ("body",)
+        assert [piece["name"] for piece in made.session.catalog.described()] == ["body"]
+        assert made.session.catalog.worn == ("body",)
     assert len(heard.warnings) == 1 and "broken.gwg" in heard.warnings[0]
     with stage.open_viewer([dressed_subject], config=FREE) as made:
-        content = made.show.described("")
+        content = made.session.described("")
         assert content["pieces"] == [] and [m["frames"] for m in content["motions"]] == [5, 1]
     for sources, folder, error in (
         ([dressed_subject, wardrobe / "body.gwg"], None, UsageProblem),

@@ -40,12 +40,13 @@ def register(app: typer.Typer) -> None:
         check_device(device)
         config = DemoConfig(preset=preset, seed=seed, train_steps=steps, device=device)
 
+        from gw_cli.child import run_command
         from stages.workflows.demo import stage
 
         if dry_run:
             console.plan(stage.plan(output, config))
             return
-        result = stage.run(output, config, console)
+        result = stage.run(output, config, run_command, console)
         shown = dict(result.summary)
         if not as_json:  # all scores are on the page
             for line in _scores(shown.pop("scores")):

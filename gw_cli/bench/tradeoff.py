@@ -72,12 +72,13 @@ def register(bench: typer.Typer) -> None:
         check_exists(capture)
         check_exists(body_model, "body model")
 
+        from gw_cli.child import run_command
         from stages.workflows.tradeoff import stage
 
         if dry_run:
-            console.plan(stage.plan(capture, output, config, body_model))
+            console.plan(stage.plan(capture, output, config, run_command, body_model))
             return
-        result = stage.run(capture, output, config, console, body_model)
+        result = stage.run(capture, output, config, run_command, console, body_model)
         console.result({"path": result.path, **result.summary})
 
 

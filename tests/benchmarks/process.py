@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from stages.shared.commands import Outcome, run_command
+from gw_cli.child import run_command
+from stages.workflows.command import Outcome
 
 __all__ = ["Outcome", "run_command", "run_module"]
 

@@ -10,9 +10,9 @@ import pytest
 import torch
 from typer.testing import CliRunner
 
-from stages.shared.commands import Outcome
 from stages.shared.errors import MissingInput, UsageProblem
 from stages.train import stage
+from stages.workflows.command import Outcome
 from tests.benchmarks.economy import run as economy
 from tests.benchmarks.economy.__main__ import app
 from tests.benchmarks.economy.run import ENDS, ROWS, STEP_ROWS, EconomyConfig, measure_row, whole_grid

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gw_cli.child import CommandFailed, run_command
 from stages.bake_maps import stage as bake_maps
 from stages.bake_maps.config import PRESETS as BAKE
 from stages.canonicalize import stage as canonicalize
@@ -18,7 +19,7 @@ from stages.register_template.config import PRESETS as REGISTER
 from stages.segment_layers import stage as segment_layers
 from stages.segment_layers.config import PRESETS as SEGMENT
 from stages.shared.body.load import embedded_body
-from stages.shared.commands import CommandFailed, Outcome, run_command
+from stages.workflows.command import Outcome
 from tests.benchmarks.templates import stage
 from tests.benchmarks.templates.config import BARS, Bar, BenchTemplatesConfig
 from tests.benchmarks.templates.skinned import SkinnedLayer

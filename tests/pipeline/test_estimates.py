@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from gw_cli.child import run_command
 from stages.pipeline import BY_NAME
 from stages.shared.artifacts import Workspace
-from stages.shared.commands import run_command
 
 _WITHIN = 1.25
 

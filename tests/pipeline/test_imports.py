@@ -102,6 +102,15 @@ def test_no_stage_imports_another() -> None:
     assert [arrow for arrow in arrows() if arrow[0] in stages and arrow[1] in stages] == []
 
 
+def test_no_stage_starts_the_command_line() -> None:
+    assert [
+        module
+        for module, tree in TREES.items()
+        for node in ast.walk(tree)
+        if module.startswith("stages.") and isinstance(node, ast.Constant) and node.value == "gw_cli"
+    ] == []
+
+
 def test_only_the_command_line_imports_workflows() -> None:
     assert {upper for upper, lower in arrows() if lower == WORKFLOWS} <= {"gw_cli"}
 

@@ -18,10 +18,10 @@ from typing import Any
 
 from stages.shared.artifacts import write_whole
 from stages.shared.artifacts.files import make_folders
-from stages.shared.commands import run_command
 from stages.shared.plan import Plan
 from stages.shared.report import SILENT, Report
 from stages.shared.targets import check_folder_target
+from stages.workflows.command import RunCommand
 from stages.workflows.demo.config import DemoConfig
 from stages.workflows.demo.page import write_page
 from stages.workflows.demo.recipe import DemoOutcome, DemoStep, steps
@@ -48,11 +48,11 @@ def plan(folder: Path, config: DemoConfig) -> Plan:
     )
 
 
-def run(folder: Path, config: DemoConfig = DemoConfig(), report: Report = SILENT) -> DemoResult:
-    """Run every step that is not done, then write the page.
+def run(folder: Path, config: DemoConfig, run_command: RunCommand, report: Report = SILENT) -> DemoResult:
+    """Run every step that is not done with `run_command`, then write the page.
 
     Raises:
-        CommandFailed: with the exit code of the command that failed.
+        GwError: with the exit code of the command that failed.
     """
     check_folder_target(folder)
     make_folders(folder)
@@ -63,7 +63,7 @@ def run(folder: Path, config: DemoConfig = DemoConfig(), report: Report = SILENT
     for number, step in enumerate(chain, 1):
         report.step(f"[{number}/{len(chain)}] {step.command}")
         key = _key(key, step)
-        outcome = _reuse(folder, step, known.get(key)) or _run_step(folder, step)
+        outcome = _reuse(folder, step, known.get(key)) or _run_step(folder, step, run_command)
         outcomes.append(outcome)
         known[key] = {"command": step.command, "seconds": outcome.seconds,
                       "peak_bytes": outcome.peak_bytes, "result": outcome.result}  # fmt: skip
@@ -95,7 +95,7 @@ def _reuse(folder: Path, step: DemoStep, known: dict[str, Any] | None) -> DemoOu
     return DemoOutcome(step, known["seconds"], known["peak_bytes"], known["result"], reused=True)
 
 
-def _run_step(folder: Path, step: DemoStep) -> DemoOutcome:
+def _run_step(folder: Path, step: DemoStep, run_command: RunCommand) -> DemoOutcome:
     made = run_command(*step.arguments, folder=folder)
     return DemoOutcome(step, made.seconds, made.peak_bytes, made.result)
 

@@ -20,12 +20,12 @@ from typing import Any
 from stages.shared.artifacts import write_whole
 from stages.shared.artifacts.canonical import readable_json
 from stages.shared.artifacts.pictures import encode_png
-from stages.shared.commands import run_command
 from stages.shared.errors import BadData, MissingInput, UsageProblem
 from stages.shared.input_files import read_json_object
 from stages.shared.plan import Plan
 from stages.shared.report import SILENT, Report
 from stages.shared.targets import check_folder_target
+from stages.workflows.command import RunCommand
 from stages.workflows.tradeoff.config import AS_TRAINED, BenchTradeoffConfig, Decoder, Training
 from stages.workflows.tradeoff.figure import markdown, tradeoff_page, tradeoff_picture
 from stages.workflows.tradeoff.front import OperatingPoint, on_front
@@ -46,14 +46,15 @@ class BenchTradeoffResult:
 def run(
     capture: Path,
     output: Path,
-    config: BenchTradeoffConfig = BenchTradeoffConfig(),
+    config: BenchTradeoffConfig,
+    run_command: RunCommand,
     report: Report = SILENT,
     body_model: Path | None = None,
 ) -> BenchTradeoffResult:
     """Train at every pitch, play with every decoder, and draw what that gives.
 
     Raises:
-        UsageProblem: nothing to measure. CommandFailed: a command failed.
+        UsageProblem: nothing to measure. GwError: a command failed.
     """
     _check(output, config)
     capture, output = capture.resolve(), output.resolve()
@@ -67,13 +68,15 @@ def run(
     played += [(training, (AS_TRAINED,)) for training in config.also]
     for training, decoders in played:
         report.step(f"{training.preset}: training for {training.minutes:g} minutes")
-        layers, pitch = _train(subject, training, config)
+        layers, pitch = _train(run_command, subject, training, config)
         for decoder in sorted(decoders, key=lambda decoder: decoder.trained):
             if decoder.trained:  # last, because what is distilled is the latest training
-                _train(subject, training, config, decoder)
+                _train(run_command, subject, training, config, decoder)
             point = _name(training, pitch, decoder, config)
             report.step(point)
-            points.append(_measure(subject, output, point, pitch, decoder, layers, training, config))
+            points.append(
+                _measure(run_command, subject, output, point, pitch, decoder, layers, training, config)
+            )
             report.say(f"{points[-1].frames_per_second:.1f} frames/s, {points[-1].psnr_foreground:.2f} dB")
             write_results(output, capture.name, points, config)
     return BenchTradeoffResult(output, json.loads((output / RESULT_NAME).read_bytes()))
@@ -82,7 +85,8 @@ def run(
 def plan(
     capture: Path,
     output: Path,
-    config: BenchTradeoffConfig = BenchTradeoffConfig(),
+    config: BenchTradeoffConfig,
+    run_command: RunCommand,
     body_model: Path | None = None,
 ) -> Plan:
     """What `run` would cost; the measuring of a point is taken as a minute."""
@@ -146,7 +150,11 @@ def bundles_of(folder: Path, point: OperatingPoint) -> list[Path]:
 
 
 def _train(
-    subject: Path, training: Training, config: BenchTradeoffConfig, decoder: Decoder = AS_TRAINED
+    run_command: RunCommand,
+    subject: Path,
+    training: Training,
+    config: BenchTradeoffConfig,
+    decoder: Decoder = AS_TRAINED,
 ) -> tuple[list[str], float]:
     """Bake and train; the layers, and the pitch in mm per texel."""
     fine = ["--pitch", f"{training.pitch:g}"] if training.pitch else []
@@ -168,6 +176,7 @@ def _text(ranks: tuple[int, int, int] | None) -> str:
 
 
 def _measure(
+    run_command: RunCommand,
     subject: Path,
     output: Path,
     name: str,

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from gw_cli.child import run_command
 from stages.shared.artifacts.bundle import write_bundle
-from stages.shared.commands import run_command
 from tests.shared.outfit.wardrobe import bundle, motion, worn
 
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 import torch
 
+from gw_cli.child import run_command
 from stages.shared.artifacts import files
 from stages.shared.avatar.config import PAPER_MODEL
-from stages.shared.commands import run_command
 from stages.shared.errors import StorageFailure, UsageProblem
 from stages.train import cost, stage
 from stages.train.config import PRESETS, TrackConfig

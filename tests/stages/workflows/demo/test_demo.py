@@ -9,56 +9,65 @@ import cv2
 import numpy as np
 import pytest
 
-from stages.shared.commands import CommandFailed
+from gw_cli.child import CommandFailed, run_command
+from stages.workflows.command import Outcome
 from stages.workflows.demo import stage
 from stages.workflows.demo.config import DemoConfig
 from stages.workflows.demo.page import write_page
 from stages.workflows.demo.recipe import DemoOutcome, DemoStep, steps
 
 
-@pytest.fixture
-def ran(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Replace the child processes by a note of what would have run."""
-    commands: list[str] = []
+class Recorder:
+    """Stands for the child processes: notes what would have run and leaves the outputs."""
 
-    def fake(folder: Path, step: DemoStep) -> DemoOutcome:
-        commands.append(step.command)
+    def __init__(self) -> None:
+        self.commands: list[str] = []
+
+    def __call__(self, *arguments: str | Path, folder: Path | None = None) -> Outcome:
+        assert folder is not None
+        command = "gw " + " ".join(str(word) for word in arguments)
+        self.commands.append(command)
+        (step,) = [
+            step for seed in (0, 1) for step in steps(DemoConfig(seed=seed)) if step.command == command
+        ][:1]
         for output in step.outputs:
             (folder / output).parent.mkdir(parents=True, exist_ok=True)
             (folder / output).touch()
-        return DemoOutcome(step, 1.0, 2**20, {"made": step.title, "seconds": float(len(commands))})
-
-    monkeypatch.setattr(stage, "_run_step", fake)
-    return commands
+        return Outcome(1.0, 2**20, {"made": step.title, "seconds": float(len(self.commands))})
 
 
-def test_every_step_runs_once_and_a_second_demo_runs_none(tmp_path: Path, ran: list[str]) -> None:
-    stage.run(tmp_path, DemoConfig())
-    assert ran == [step.command for step in steps(DemoConfig())]
-    ran.clear()
-    stage.run(tmp_path, DemoConfig())
-    assert ran == []
+@pytest.fixture
+def ran() -> Recorder:
+    return Recorder()
 
 
-def test_another_seed_runs_everything_again(tmp_path: Path, ran: list[str]) -> None:
-    stage.run(tmp_path, DemoConfig(seed=0))
-    ran.clear()
-    stage.run(tmp_path, DemoConfig(seed=1))
-    assert len(ran) == len(steps(DemoConfig()))
+def test_every_step_runs_once_and_a_second_demo_runs_none(tmp_path: Path, ran: Recorder) -> None:
+    stage.run(tmp_path, DemoConfig(), ran)
+    assert ran.commands == [step.command for step in steps(DemoConfig())]
+    ran.commands.clear()
+    stage.run(tmp_path, DemoConfig(), ran)
+    assert ran.commands == []
 
 
-def test_a_lost_output_runs_its_step_again(tmp_path: Path, ran: list[str]) -> None:
-    stage.run(tmp_path, DemoConfig())
-    ran.clear()
+def test_another_seed_runs_everything_again(tmp_path: Path, ran: Recorder) -> None:
+    stage.run(tmp_path, DemoConfig(seed=0), ran)
+    ran.commands.clear()
+    stage.run(tmp_path, DemoConfig(seed=1), ran)
+    assert len(ran.commands) == len(steps(DemoConfig()))
+
+
+def test_a_lost_output_runs_its_step_again(tmp_path: Path, ran: Recorder) -> None:
+    stage.run(tmp_path, DemoConfig(), ran)
+    ran.commands.clear()
     (tmp_path / "tryon/result.json").unlink()
-    stage.run(tmp_path, DemoConfig())
-    assert [command.split()[1] for command in ran] == ["tryon"]
+    stage.run(tmp_path, DemoConfig(), ran)
+    assert [command.split()[1] for command in ran.commands] == ["tryon"]
 
 
 def test_a_failing_command_passes_its_exit_code_on(tmp_path: Path) -> None:
     step = DemoStep("x", "x", ("canonicalize", "not-there"), ())
     with pytest.raises(CommandFailed) as caught:
-        stage._run_step(tmp_path, step)
+        run_command(*step.arguments, folder=tmp_path)
     assert caught.value.exit_code == 66
 
 
@@ -79,7 +88,7 @@ def test_titles_are_escaped(tmp_path: Path) -> None:
     assert "<b>" not in page and "&lt;b&gt;" in page
 
 
-def test_steps_survive_a_broken_memory(tmp_path: Path, ran: list[str]) -> None:
+def test_steps_survive_a_broken_memory(tmp_path: Path, ran: Recorder) -> None:
     (tmp_path / "steps.json").write_text("{")
-    stage.run(tmp_path, DemoConfig())
+    stage.run(tmp_path, DemoConfig(), ran)
     assert json.loads((tmp_path / "steps.json").read_text())

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from stages.shared.commands import Outcome
+from stages.workflows.command import Outcome
 from stages.workflows.tradeoff import stage
 from stages.workflows.tradeoff.config import DECODERS, TRAINED_BLENDSHAPES, BenchTradeoffConfig, Training
 from stages.workflows.tradeoff.stage import read_points
@@ -40,11 +40,10 @@ def test_every_decoder_of_every_pitch_is_measured(
             result = {split: {method: SCORES} for split in ("novel_view", "novel_pose")}
         return Outcome(1.0, 100, result)
 
-    monkeypatch.setattr(stage, "run_command", pretended)
     decoders = (TRAINED_BLENDSHAPES, *DECODERS) if trained else DECODERS
     config = BenchTradeoffConfig(minutes=8.0, pitches=(10.0, 20.0), decoders=decoders)
     config = replace(config, also=(Training("balanced", 5.0),))
-    stage.run(tmp_path / "capture", tmp_path / "out", config)
+    stage.run(tmp_path / "capture", tmp_path / "out", config, pretended)
     points = read_points(tmp_path / "out")
     assert len(points) == 2 * len(decoders) + 1 and all(point.bundle_bytes == 8 for point in points)
     trainings = [words for words in ran if words[0] == "train"]

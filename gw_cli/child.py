@@ -1,4 +1,4 @@
-"""The commands that a user would type, run as child processes."""
+"""The commands that a user would type, run as child processes: each has the peak memory of its own."""
 
 from __future__ import annotations
 
@@ -9,20 +9,10 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from stages.shared.errors import GwError
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What one command gave: wall seconds, peak bytes of the process, and its result."""
-
-    seconds: float
-    peak_bytes: int
-    result: dict[str, Any]
+from stages.workflows.command import Outcome
 
 
 class CommandFailed(GwError):

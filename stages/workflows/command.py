@@ -1,0 +1,26 @@
+"""How a workflow runs a command: the front end passes a function that does it.
+
+The demo and the trade-off report seconds and peak memory of every command, so each runs in a process of its
+own. Only the command line knows how to start one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What one command gave: wall seconds, peak bytes of the process, and its result."""
+
+    seconds: float
+    peak_bytes: int
+    result: dict[str, Any]
+
+
+class RunCommand(Protocol):
+    """Runs `gw` with these arguments, in `folder` if one is given; raises a `GwError` when it fails."""
+
+    def __call__(self, *arguments: str | Path, folder: Path | None = None) -> Outcome: ...

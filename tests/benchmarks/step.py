@@ -26,7 +26,7 @@ from stages.shared.layers import BODY
 from stages.shared.report import SILENT, Report
 from stages.shared.splat.api import rasterize
 from stages.shared.splat.gaussians import Gaussians
-from stages.shared.splat.kernels.threads import watch
+from stages.shared.splat.kernels.threads import time_kernels
 from stages.train.config import TrainConfig
 from stages.train.data import choose
 from stages.train.objective import render
@@ -83,7 +83,7 @@ def measure(trainer: Trainer, steps: int, report: Report, update: bool = True) -
         trainer.step(first, elapsed, update)
         for number in range(first + 1, first + 1 + steps):
             started = time.perf_counter()
-            with watch() as seconds:
+            with time_kernels() as seconds:
                 phases = trainer.step(number, elapsed, update).seconds
             rows.append({"step": time.perf_counter() - started, **phases})
             backward = sum(seconds.get(name, 0.0) for name in _BACKWARD_KERNELS)

@@ -26,7 +26,7 @@ from stages.shared.avatar.decoders.texel_attributes import (
 from stages.shared.avatar.deform import shaped_positions
 from stages.shared.avatar.pose import FramePose
 from stages.shared.avatar.posing_kernel import BLOCK, carry_texels, pose_texels
-from stages.shared.splat.kernels.threads import run_together
+from stages.shared.splat.kernels.threads import run_parallel
 
 LEAST_WEIGHT = 1e-6  # a bone with less moves a texel by less than a thousandth of a millimetre
 
@@ -164,7 +164,7 @@ class PosedLayer:
         if not out.painted:
             out.opacities[:], out.colors[:] = self._looks
             out.painted.append(True)
-        run_together(
+        run_parallel(
             carry_texels, *self._canonical, *skinning, out.means, out.covariances,
         )  # fmt: skip
 
@@ -184,7 +184,7 @@ class PosedLayer:
             assert pose is not None
             whole = self.model.residual(pose.local_transforms, motion=motion)
             residual = _chosen(self.model.observed_residual(whole), self._rows)
-        run_together(
+        run_parallel(
             pose_texels, residual.numpy(), coefficients.numpy(), *self.bases, _CHANNELS,
             self.base, self.limits, self.bounded, self.rest,
             *skinning, *self.replacements,

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from stages.shared.splat.kernels.memory import take
+from stages.shared.splat.kernels.memory import next_item
 
 # mypy: ignore-errors
 # (compiled and type-checked by numba)
@@ -110,13 +110,13 @@ def _carry(
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def carry_texels(
-    turn, points, quaternions, scales, first, bones, weights, matrices, means, covariances
+    counter, points, quaternions, scales, first, bones, weights, matrices, means, covariances
 ):  # fmt: skip
     """What is left of `pose_texels` for a layer that no pose changes: skinning."""
     count = points.shape[0]
     matrix, spread = np.empty((3, 4), np.float32), np.empty((3, 3), np.float32)
     while True:
-        start = take(turn) * BLOCK
+        start = next_item(counter) * BLOCK
         if start >= count:
             return
         for n in range(start, min(start + BLOCK, count)):
@@ -128,7 +128,7 @@ def carry_texels(
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def pose_texels(
-    turn, given, coefficients, offset_bases, color_bases, form_bases, channels,
+    counter, given, coefficients, offset_bases, color_bases, form_bases, channels,
     base, limits, bounded, rest,
     first, bones, weights, matrices,
     swap_weights, swap_offsets, swap_quaternions, swap_looks, paints,
@@ -145,7 +145,7 @@ def pose_texels(
     offset, scales, quaternion = np.empty(3, np.float32), np.empty(3, np.float32), np.empty(4, np.float32)
     residual = np.empty((14, BLOCK), np.float32)
     while True:
-        block = take(turn)
+        block = next_item(counter)
         start = block * BLOCK
         if start >= count:
             return

@@ -120,7 +120,7 @@ def resolve_penetration_tiles(
         shown = view.shown(outer, box)
         if shown.any():
             inside[box], margin = fill_contours(shown, config.rim), config.margin(layers[inner])
-            number = view.repair(inside, inner, outer, margin, config.opaque, repaired)
+            number = view.resolve_pair(inside, inner, outer, margin, config.opaque, repaired)
             counts[f"{layers[inner]}/{layers[outer]}"] = number
     return ResolvedImage(picture, repaired.view(bool), counts)
 

@@ -15,7 +15,7 @@ from torch import Tensor
 from stages.shared.report import SILENT, Report
 from stages.shared.splat.cpu_steps import (
     FlatGaussians,
-    Pictures,
+    PixelBuffers,
     RefusedGaussians,
     Sizes,
     arrange,
@@ -24,7 +24,7 @@ from stages.shared.splat.cpu_steps import (
     view_backward,
 )
 from stages.shared.splat.kernels import layout
-from stages.shared.splat.kernels.compiling import told_to
+from stages.shared.splat.kernels.compiling import announce_to
 from stages.shared.splat.kernels.project_backward import LARGEST
 from stages.shared.splat.rendering import Rendering
 from stages.shared.splat.scene import Scene, check_gaussians
@@ -32,7 +32,7 @@ from stages.shared.splat.settings import SplatSettings
 
 
 class _OnceOnly(torch.autograd.Function):
-    """Hands the first `count` tensors on; what they came from follows. Differentiating them is refused."""
+    """Returns the first `count` tensors, which depend on the rest; refuses to differentiate them."""
 
     @staticmethod
     def forward(ctx: Any, count: int, *tensors: Tensor | None) -> tuple[Tensor | None, ...]:
@@ -44,7 +44,7 @@ class _OnceOnly(torch.autograd.Function):
 
 
 class _Rasterize(torch.autograd.Function):
-    """Pictures with a leading axis of cameras, see `Pictures`, and the median depth.
+    """Pictures with a leading axis of cameras, see `PixelBuffers`, and the median depth.
 
     Gaussians and background are in the type of the pictures, cameras in float64.
     """
@@ -53,7 +53,7 @@ class _Rasterize(torch.autograd.Function):
     def forward(
         ctx: Any,
         sizes: Sizes,
-        own_pictures: Tensor | None,
+        layer_slots: Tensor | None,
         means: Tensor,
         quats: Tensor | None,
         scales: Tensor | None,
@@ -64,7 +64,7 @@ class _Rasterize(torch.autograd.Function):
         Ks: Tensor,
         background: Tensor | None,
     ) -> tuple[Tensor, ...]:
-        inputs = (means, quats, scales, covars, opacities, colors, own_pictures)
+        inputs = (means, quats, scales, covars, opacities, colors, layer_slots)
         gaussians = _gaussians(inputs)
         cameras, others, place = len(viewmats), sizes.alone or 0, (sizes.height, sizes.width)
         features = means.new_empty(cameras, *place, sizes.channels)
@@ -78,7 +78,7 @@ class _Rasterize(torch.autograd.Function):
             camera = camera_numbers(viewmats[i].numpy(), Ks[i].numpy(), sizes)
             view = arrange(gaussians, camera, behind[i].numpy(), sizes)
             median_of_view = median[i].numpy() if sizes.settings.median_depth else None
-            blend_view(view, Pictures.of(pictures, i), median_of_view, sizes)
+            blend_view(view, PixelBuffers.of(pictures, i), median_of_view, sizes)
             views.append(view)
         if any(ctx.needs_input_grad):
             ctx.sizes, ctx.views = sizes, views
@@ -89,10 +89,11 @@ class _Rasterize(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
         with torch.no_grad():
-            found = _Rasterize._backward(ctx, grads)
+            gradients = _Rasterize._backward(ctx, grads)
         if not torch.is_grad_enabled():
-            return found
-        return (None, None, *_OnceOnly.apply(len(found) - 2, *found[2:], *grads, *ctx.saved_tensors[:6]))
+            return gradients
+        inputs = ctx.saved_tensors[:6]
+        return (None, None, *_OnceOnly.apply(len(gradients) - 2, *gradients[2:], *grads, *inputs))
 
     @staticmethod
     def _backward(ctx: Any, grads: tuple[Tensor, ...]) -> tuple[Tensor | None, ...]:
@@ -104,8 +105,8 @@ class _Rasterize(torch.autograd.Function):
         arrays = [None if x is None else x.numpy().reshape(-1) for x in outgoing]
         g_viewmats, g_Ks = (torch.zeros(len(views), side, side, dtype=torch.float64) for side in (4, 3))
         for i, view in enumerate(views):
-            seen, wanted = Pictures.of(pictures, i), Pictures.of(incoming, i)
-            numbers = view_backward(gaussians, view, seen, wanted, arrays, i > 0, sizes)
+            images, upstream = PixelBuffers.of(pictures, i), PixelBuffers.of(incoming, i)
+            numbers = view_backward(gaussians, view, images, upstream, arrays, i > 0, sizes)
             g_camera = torch.from_numpy(numbers.clip(-LARGEST, LARGEST)).to(g_Ks)
             g_viewmats[i, :3, :3], g_viewmats[i, :3, 3] = g_camera[:9].reshape(3, 3), g_camera[9:12]
             g_Ks[i, [0, 1, 0, 1], [0, 1, 2, 2]] = g_camera[12:]
@@ -113,11 +114,11 @@ class _Rasterize(torch.autograd.Function):
         if ctx.needs_input_grad[10]:
             # numpy's plain sum: one thread, so that its order is fixed.
             through = 1 - pictures[2].numpy()
-            found = np.einsum("bhwc,bhw->bc", incoming[0].numpy(), through[:, 0])
-            found[:, : sizes.alone_channels] += np.einsum(
+            sums = np.einsum("bhwc,bhw->bc", incoming[0].numpy(), through[:, 0])
+            sums[:, : sizes.alone_channels] += np.einsum(
                 "bahwc,bahw->bc", incoming[1].numpy(), through[:, 1:]
             )
-            g_background = torch.from_numpy(found)
+            g_background = torch.from_numpy(sums)
         return (None, None, *outgoing, g_viewmats, g_Ks, g_background)
 
 
@@ -126,8 +127,8 @@ def _gaussians(inputs: Iterable[Tensor | None]) -> FlatGaussians:
     return FlatGaussians(*arrays)
 
 
-def _own_pictures(scene: Scene) -> Tensor | None:
-    """(N,) int32: the picture of each Gaussian's layer, from 1 on; 0 where its layer is not asked for."""
+def _layer_slots(scene: Scene) -> Tensor | None:
+    """(N,) int32: the picture of each Gaussian's layer, from 1 on; 0 if that is not rendered alone."""
     if scene.layer_ids is None or not scene.alone:
         return None
     pictures = torch.zeros(scene.layers, dtype=torch.int32)
@@ -148,7 +149,7 @@ def render_scene(scene: Scene) -> list[Rendering]:
     background = None if scene.background is None else scene.background.to(kind)
     cameras = (scene.viewmats.double(), scene.Ks.double())
     try:
-        pictures = _Rasterize.apply(sizes, _own_pictures(scene), *arrays, *cameras, background)
+        pictures = _Rasterize.apply(sizes, _layer_slots(scene), *arrays, *cameras, background)
     except RefusedGaussians:
         check_gaussians(scene)
         raise
@@ -167,7 +168,7 @@ def warm_up(
     alone_channels: of layers rendered alone; None for `rasterize`.
     """
     layered = alone_channels is not None
-    with told_to(report.say):
+    with announce_to(report.say):
         for count in channels:
             sizes = Sizes(
                 16, 16, count, 1 if layered else None, alone_channels or 0, SplatSettings(),

@@ -1,4 +1,4 @@
-"""A composite of layers on the CPU that can be repaired: its tile lists are kept for the penetration pass."""
+"""A composite of layers on the CPU that keeps its tile lists for the penetration pass."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from torch import Tensor
 
 from stages.shared.splat.cpu_steps import (
     FlatGaussians,
-    Pictures,
+    PixelBuffers,
+    ProjectedView,
     RefusedGaussians,
     Sizes,
-    View,
     arrange,
     blend_view,
     camera_numbers,
 )
 from stages.shared.splat.kernels import layout
-from stages.shared.splat.kernels.repair import ALONE_CHANNELS, mark_shown, repair_tiles
-from stages.shared.splat.kernels.threads import run_alone, run_together
+from stages.shared.splat.kernels.penetration import ALONE_CHANNELS, mark_shown, resolve_tiles
+from stages.shared.splat.kernels.threads import run_parallel, run_serial
 from stages.shared.splat.rendering import Rendering
 from stages.shared.splat.scene import Scene, check_gaussians, make_scene
 from stages.shared.splat.settings import SplatSettings
@@ -37,11 +37,11 @@ class LayeredView:
     """
 
     rendering: Rendering
-    _view: View
+    _view: ProjectedView
     _sizes: Sizes
     _layer_ids: NDArray[np.int32]
     _layers: int
-    _settled: NDArray[np.int32]  # (H, W) what the pairs so far found, see kernels/repair.py
+    _decided: NDArray[np.int32]  # (H, W) results of earlier pairs, see kernels/penetration.py
 
     def box(self) -> tuple[slice, slice]:
         """Rows and columns of the tiles that have Gaussians."""
@@ -58,13 +58,13 @@ class LayeredView:
     def shown(self, layer: int, box: tuple[slice, slice]) -> NDArray[np.uint8]:
         """(h, w) 1 where a layer shows in the box: has more than half of a pixel that is half covered."""
         rows, columns = box
-        found = np.empty((rows.stop - rows.start, columns.stop - columns.start), np.uint8)
+        shown = np.empty((rows.stop - rows.start, columns.stop - columns.start), np.uint8)
         picture, sizes = self.rendering, self._sizes
         flat = (x.numpy().reshape(-1) for x in (picture.features, picture.alpha))
-        run_alone(mark_shown, *flat, layer, sizes.channels, sizes.width, rows.start, columns.start, found)
-        return found
+        run_serial(mark_shown, *flat, layer, sizes.channels, sizes.width, rows.start, columns.start, shown)
+        return shown
 
-    def repair(
+    def resolve_pair(
         self,
         inside: NDArray[np.uint8],
         inner: int,
@@ -82,11 +82,11 @@ class LayeredView:
         picture, sizes, kind = self.rendering, self._sizes, self._sizes.kind.type
         counts = np.zeros(sizes.tiles, np.int64)
         width, height, _, _, constants, lanes = sizes.kernel_sizes(None)
-        run_together(
-            repair_tiles, inside.reshape(-1), self._view.starts, self._view.gaussians, self._layer_ids,
+        run_parallel(
+            resolve_tiles, inside.reshape(-1), self._view.starts, self._view.gaussians, self._layer_ids,
             self._view.records, sizes.record, inner, outer, self._layers, kind(margin), kind(opaque),
             *(x.numpy().reshape(-1) for x in (picture.features, picture.alpha, picture.depth)),
-            repaired.reshape(-1), self._settled.reshape(-1), counts, width, height, constants, lanes,
+            repaired.reshape(-1), self._decided.reshape(-1), counts, width, height, constants, lanes,
             layout.size_argument(2 + ALONE_CHANNELS, True),
         )  # fmt: skip
         return int(counts.sum())
@@ -137,8 +137,8 @@ def _blended(scene: Scene) -> LayeredView:
     view = arrange(FlatGaussians(*flat), camera, np.zeros(channels, sizes.kind), sizes)
     features, alone = torch.empty(1, *place, channels), torch.empty(1, 0, *place, 0)
     alpha, depth = torch.empty(1, 1, *place), torch.empty(1, 1, *place)
-    blend_view(view, Pictures.of((features, alone, alpha, depth), 0), None, sizes)
+    blend_view(view, PixelBuffers.of((features, alone, alpha, depth), 0), None, sizes)
     assert scene.layer_ids is not None
     rendering = Rendering(features[0], alpha[0, 0], depth[0, 0])
-    settled = np.zeros(place, np.int32)
-    return LayeredView(rendering, view, sizes, scene.layer_ids.numpy(), scene.layers, settled)
+    decided = np.zeros(place, np.int32)
+    return LayeredView(rendering, view, sizes, scene.layer_ids.numpy(), scene.layers, decided)

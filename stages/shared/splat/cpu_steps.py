@@ -22,7 +22,7 @@ from stages.shared.splat.kernels.blend_backward import blend_backward
 from stages.shared.splat.kernels.order import count_tiles, depth_order, fill_tiles, place_tiles
 from stages.shared.splat.kernels.project import project
 from stages.shared.splat.kernels.project_backward import CAMERA_GRADIENTS, project_backward
-from stages.shared.splat.kernels.threads import run_alone, run_together
+from stages.shared.splat.kernels.threads import run_parallel, run_serial
 from stages.shared.splat.settings import FRUSTUM_MARGIN, SplatSettings
 
 _MOST_ENTRIES = 1 << 28
@@ -39,7 +39,7 @@ class Sizes:
     width: int
     height: int
     channels: int
-    alone: int | None  # layers rendered alone, beside the composite
+    alone: int | None  # number of layers rendered alone; None without layers
     alone_channels: int
     settings: SplatSettings
     lanes: int
@@ -69,18 +69,18 @@ class Sizes:
         return layout.slot_length(self.channels, self.lanes)
 
     def argument(self, size: int) -> tuple[int, ...] | int:
-        """A size that kernels are compiled for, or one they are told."""
+        """A size that kernels are specialised for, or one that they read at run time."""
         return layout.size_argument(size, self.specialised)
 
-    def kernel_sizes(self, own_pictures: np.ndarray | None) -> tuple[Any, ...]:
+    def kernel_sizes(self, layer_slots: np.ndarray | None) -> tuple[Any, ...]:
         """The arguments width ... lanes of the blending kernels."""
         lanes, constants = layout.lanes_argument(self.lanes), layout.constants(self.lanes, self.settings)
-        return self.width, self.height, own_pictures, self.alone, constants, lanes
+        return self.width, self.height, layer_slots, self.alone, constants, lanes
 
 
 @dataclass(frozen=True)
 class FlatGaussians:
-    """The inputs as flat arrays; own_pictures int32: from 1 on, 0 where only the composite counts."""
+    """The inputs as flat arrays; layer_slots int32: from 1 on, 0 for the composite only."""
 
     means: np.ndarray  # (3N,)
     quats: np.ndarray | None  # (4N,)
@@ -88,7 +88,7 @@ class FlatGaussians:
     covars: np.ndarray | None  # (9N,)
     opacities: np.ndarray  # (N,)
     colors: np.ndarray  # (C N,)
-    own_pictures: np.ndarray | None = None  # (N,)
+    layer_slots: np.ndarray | None = None  # (N,)
 
     @property
     def placed(self) -> tuple[Any, ...]:
@@ -97,8 +97,8 @@ class FlatGaussians:
 
 
 @dataclass(frozen=True)
-class View:
-    """What one camera saw: kept for the backward pass."""
+class ProjectedView:
+    """The projection for one camera, kept for the backward pass."""
 
     camera: np.ndarray  # (25,) see kernels/geometry.py
     background: np.ndarray  # (C,)
@@ -109,12 +109,12 @@ class View:
     gaussians: np.ndarray  # (E,) tile lists: rows
     slots: np.ndarray  # (E,) and where the gradient of each entry goes, Gaussian by Gaussian
     blocks: np.ndarray  # (E,) blocks of the tile in which each entry changed the composite
-    own_blocks: np.ndarray  # (E,) and its own layer's picture; empty without layers
-    own_pictures: np.ndarray | None  # (N,)
+    layer_blocks: np.ndarray  # (E,) the same for its layer's picture; empty without layers
+    layer_slots: np.ndarray | None  # (N,)
 
 
 @dataclass(frozen=True)
-class Pictures:
+class PixelBuffers:
     """Of one camera, or their gradients: the composite's features, those of the layers alone, and of all."""
 
     features: np.ndarray  # (H, W, C)
@@ -123,7 +123,7 @@ class Pictures:
     depth: np.ndarray  # (1 + A, H, W)
 
     @classmethod
-    def of(cls, tensors: Iterable[Tensor], camera: int) -> Pictures:
+    def of(cls, tensors: Iterable[Tensor], camera: int) -> PixelBuffers:
         return cls(*(tensor[camera].numpy() for tensor in tensors))
 
     @property
@@ -151,17 +151,19 @@ def _whole_lines(count: int, sizes: Sizes) -> np.ndarray:
     return room[skip : skip + count]
 
 
-def arrange(gaussians: FlatGaussians, camera: np.ndarray, background: np.ndarray, sizes: Sizes) -> View:
+def arrange(
+    gaussians: FlatGaussians, camera: np.ndarray, background: np.ndarray, sizes: Sizes
+) -> ProjectedView:
     """Project, sort by depth, sort into tiles."""
     n = len(gaussians.opacities)
     records, boxes = _whole_lines(n * sizes.record, sizes), np.empty(4 * n, np.uint16)
     depths, counts = np.empty(n, np.float32), np.empty(n, np.int32)
-    run_together(
+    run_parallel(
         project, *gaussians.placed, gaussians.colors, sizes.channels, camera,
         float(sizes.width), float(sizes.height), records, sizes.record, boxes, depths, counts,
     )  # fmt: skip
     first_slots = np.empty(n + 1, np.int32)
-    order, entries = run_alone(depth_order, depths.view(np.uint32), counts, first_slots)
+    order, entries = run_serial(depth_order, depths.view(np.uint32), counts, first_slots)
     if entries < 0:
         raise RefusedGaussians
     if entries > _MOST_ENTRIES:
@@ -172,37 +174,37 @@ def arrange(gaussians: FlatGaussians, camera: np.ndarray, background: np.ndarray
         )
     tallies = np.zeros((max(torch.get_num_threads(), 1), sizes.tiles), np.int32)
     starts = np.empty(sizes.tiles + 1, np.int64)
-    run_together(count_tiles, order, boxes, sizes.columns, tallies)
-    run_alone(place_tiles, tallies, starts)
+    run_parallel(count_tiles, order, boxes, sizes.columns, tallies)
+    run_serial(place_tiles, tallies, starts)
     rows, slots = (np.empty(entries, np.int32) for _ in range(2))
-    blocks, own_blocks = (np.empty(size, np.uint32) for size in (entries, entries if sizes.alone else 0))
-    run_together(fill_tiles, order, boxes, first_slots, sizes.columns, tallies, rows, slots)
-    return View(
-        camera, background, records, counts, first_slots, starts, rows, slots, blocks, own_blocks,
-        gaussians.own_pictures,
+    blocks, layer_blocks = (np.empty(size, np.uint32) for size in (entries, entries if sizes.alone else 0))
+    run_parallel(fill_tiles, order, boxes, first_slots, sizes.columns, tallies, rows, slots)
+    return ProjectedView(
+        camera, background, records, counts, first_slots, starts, rows, slots, blocks, layer_blocks,
+        gaussians.layer_slots,
     )  # fmt: skip
 
 
-def blend_view(view: View, pictures: Pictures, median: np.ndarray | None, sizes: Sizes) -> None:
+def blend_view(view: ProjectedView, pictures: PixelBuffers, median: np.ndarray | None, sizes: Sizes) -> None:
     """Fill the pictures of one camera; `median` is (1 + A, H, W)."""
-    lists, blocks = (view.starts, view.gaussians), (view.blocks, view.own_blocks)
-    run_together(
+    lists, blocks = (view.starts, view.gaussians), (view.blocks, view.layer_blocks)
+    run_parallel(
         blend, *lists, view.records, sizes.record, view.background, *pictures.flat, *blocks,
-        *sizes.kernel_sizes(view.own_pictures), sizes.argument(2 + sizes.channels),
+        *sizes.kernel_sizes(view.layer_slots), sizes.argument(2 + sizes.channels),
         sizes.argument(2 + sizes.alone_channels),
     )  # fmt: skip
     if median is not None:
-        run_together(
+        run_parallel(
             median_depths, *lists, *blocks, view.records, sizes.record, median.reshape(-1),
-            *sizes.kernel_sizes(view.own_pictures),
+            *sizes.kernel_sizes(view.layer_slots),
         )  # fmt: skip
 
 
 def view_backward(
     gaussians: FlatGaussians,
-    view: View,
-    pictures: Pictures,
-    incoming: Pictures,
+    view: ProjectedView,
+    pictures: PixelBuffers,
+    incoming: PixelBuffers,
     outgoing: list[np.ndarray | None],
     add: bool,
     sizes: Sizes,
@@ -210,16 +212,16 @@ def view_backward(
     """Write (or add) the gradients of one camera's pictures to `outgoing`; return the camera's own (16,)."""
     lanes, slot = layout.lanes_argument(sizes.lanes), sizes.argument(sizes.slot)
     sums = _whole_lines(len(view.gaussians) * sizes.slot, sizes)
-    run_together(
+    run_parallel(
         blend_backward, view.starts, view.gaussians, view.slots, view.records, sizes.record, view.background,
-        *pictures.flat, view.blocks, view.own_blocks, *incoming.flat, sums,
-        *sizes.kernel_sizes(view.own_pictures), sizes.argument(sizes.channels), slot,
+        *pictures.flat, view.blocks, view.layer_blocks, *incoming.flat, sums,
+        *sizes.kernel_sizes(view.layer_slots), sizes.argument(sizes.channels), slot,
         sizes.argument(sizes.alone_channels),
     )  # fmt: skip
     turns = -(-len(gaussians.opacities) // (layout.GROUP * layout.GROUPS_PER_TURN))
     shares = np.empty(turns * CAMERA_GRADIENTS, np.float64)
     seen = (view.camera, view.counts, view.first_slots)
-    run_together(
+    run_parallel(
         project_backward, *gaussians.placed, *seen, sums, lanes, slot, sizes.channels, add,
         *outgoing, shares,
     )  # fmt: skip

@@ -119,10 +119,10 @@ def read_splat_ply(path: Path) -> SplatCloud:
         raise _refused("it has no property " + ", ".join(missing), path)
 
     def columns(prefix: str, count: int) -> NDArray[np.float64] | None:
-        wanted = [f"{prefix}{i}" for i in range(count)]
-        if not names.issuperset(wanted):
+        properties = [f"{prefix}{i}" for i in range(count)]
+        if not names.issuperset(properties):
             return None
-        return np.stack([table[name].astype(np.float64) for name in wanted], 1)
+        return np.stack([table[name].astype(np.float64) for name in properties], 1)
 
     n = len(table)
     means = np.stack([table[name].astype(np.float64) for name in "xyz"], 1)

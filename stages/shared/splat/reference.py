@@ -1,6 +1,6 @@
 """Splatting in plain torch: every pixel against every Gaussian, slow, and meant to be obviously right.
 
-The oracle of the other backends. Computes in float64 whatever it is given, on any device, and is
+The oracle of the other backends. Computes in float64 whatever the input type, on any device, and is
 differentiable by torch itself. One function is one step of the mathematics (Zwicker et al. 2001, EWA
 splatting; Kerbl et al. 2023, 3D Gaussian splatting). Letters: N Gaussians, P pixels, C channels.
 """
@@ -146,9 +146,9 @@ def weights(alpha: Tensor, stop: float = TRANSMITTANCE_MIN) -> tuple[Tensor, Ten
     """Front to back: alphas (P, M) -> w_k = alpha_k prod_{j<k} (1 - alpha_j) (P, M), T_end (P,)."""
     after = torch.cumprod(1 - alpha, 1)
     alpha = torch.where(after > stop, alpha, 0.0)
-    kept = torch.cumprod(1 - alpha, 1)
-    before = torch.cat([torch.ones_like(kept[:, :1]), kept[:, :-1]], 1)
-    left = kept[:, -1] if kept.shape[1] else torch.ones_like(kept.sum(1))
+    transmittance = torch.cumprod(1 - alpha, 1)
+    before = torch.cat([torch.ones_like(transmittance[:, :1]), transmittance[:, :-1]], 1)
+    left = transmittance[:, -1] if transmittance.shape[1] else torch.ones_like(transmittance.sum(1))
     return alpha * before, left
 
 

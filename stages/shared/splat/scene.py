@@ -20,7 +20,7 @@ class Scene:
 
     means (N, 3) m world; quats (N, 4) wxyz and scales (N, 3) m, or covars (N, 3, 3) m^2; opacities (N,);
     colors (N, C); viewmats (B, 4, 4) camera_from_world; Ks (B, 3, 3) px; background (B, C) or None;
-    layer_ids (N,) int32 in [0, L) or None; layers: L, 0 when only the composite is wanted; alone: the layers
+    layer_ids (N,) int32 in [0, L) or None; layers: L, 0 for the composite only; alone: the layers
     to render alone, in this order, with the first `alone_channels` features.
     """
 
@@ -86,7 +86,7 @@ def make_scene(
         background = (
             background.expand(b, c) if background.ndim == 1 and background.shape[0] == c else background
         )
-    wanted: list[tuple[str, Tensor | None, tuple[int, ...]]] = [
+    expected: list[tuple[str, Tensor | None, tuple[int, ...]]] = [
         ("means", means, (n, 3)),
         ("quats", quats, (n, 4)),
         ("scales", scales, (n, 3)),
@@ -97,7 +97,7 @@ def make_scene(
         ("Ks", Ks, (b, 3, 3)),
         ("background", background, (b, c)),
     ]
-    for name, array, shape in wanted:
+    for name, array, shape in expected:
         if array is not None and tuple(array.shape) != shape:
             raise UsageProblem(
                 f"{name} has shape {tuple(array.shape)}; {shape} is needed.",

@@ -11,7 +11,7 @@ import torch
 
 from stages.shared.splat import cpu_steps
 from stages.shared.splat.kernels import layout
-from stages.shared.splat.kernels.threads import watch
+from stages.shared.splat.kernels.threads import time_kernels
 from stages.shared.splat.settings import SplatSettings
 from tests.benchmarks.splat.peak import CHAINS, multiply_add_peak
 
@@ -83,7 +83,7 @@ def _list_costs(count: int, channels: int, lanes: int) -> tuple[float, float]:
     black = np.zeros(channels, np.float32)
     view = cpu_steps.arrange(gaussians, cpu_steps.camera_numbers(np.eye(4), intrinsics, sizes), black, sizes)
     shape = (1, layout.TILE, layout.TILE)
-    pictures = cpu_steps.Pictures(
+    pictures = cpu_steps.PixelBuffers(
         np.ones((*shape, channels), np.float32), np.empty((0, *shape[1:], 0), np.float32),
         np.ones(shape, np.float32), np.ones(shape, np.float32),
     )  # fmt: skip
@@ -92,7 +92,7 @@ def _list_costs(count: int, channels: int, lanes: int) -> tuple[float, float]:
     ]
     seconds = []
     for _ in range(200):
-        with watch() as phases:
+        with time_kernels() as phases:
             cpu_steps.blend_view(view, pictures, None, sizes)
             cpu_steps.view_backward(gaussians, view, pictures, pictures, grads, False, sizes)
         seconds.append((phases["blend"], phases["blend_backward"]))

@@ -15,7 +15,7 @@ from torch import Tensor
 from stages.shared.splat import cpu_steps
 from stages.shared.splat.api import rasterize
 from stages.shared.splat.kernels import layout
-from stages.shared.splat.kernels.threads import run_together, watch
+from stages.shared.splat.kernels.threads import run_parallel, time_kernels
 from stages.shared.splat.settings import SplatSettings
 from tests.benchmarks.splat.figure import Figure, make_camera, make_figure
 from tests.benchmarks.splat.limit import Limit, flops_per_pair
@@ -93,7 +93,7 @@ def _repeat(call: Callable[[], None], rounds: int) -> tuple[list[float], list[di
     call()
     seconds, phases = [], []
     for _ in range(rounds):
-        with watch() as kernels:
+        with time_kernels() as kernels:
             started = time.perf_counter()
             call()
             seconds.append(time.perf_counter() - started)
@@ -123,7 +123,7 @@ def _work(
     camera = cpu_steps.camera_numbers(view.double().numpy(), intrinsics.double().numpy(), sizes)
     placed = cpu_steps.arrange(gaussians, camera, np.ones(case.channels, np.float32), sizes)
     counts = np.zeros((sizes.tiles, 2), np.int64)
-    run_together(
+    run_parallel(
         tally, placed.starts, placed.gaussians, placed.records, sizes.record, sizes.width, sizes.height,
         layout.constants(lanes), layout.lanes_argument(lanes), counts,
     )  # fmt: skip
@@ -131,7 +131,7 @@ def _work(
     shape = (1, case.size, case.size)
     features, alpha, depth = (np.empty((*shape, *c), np.float32) for c in ((case.channels,), (), ()))
     nothing = np.empty((0, *shape[1:], 0), np.float32)
-    cpu_steps.blend_view(placed, cpu_steps.Pictures(features, nothing, alpha, depth), None, sizes)
+    cpu_steps.blend_view(placed, cpu_steps.PixelBuffers(features, nothing, alpha, depth), None, sizes)
     backward_steps = int(np.bitwise_count(placed.blocks).sum())
     entries = len(placed.gaussians)
     covered = int((alpha > 0).sum())

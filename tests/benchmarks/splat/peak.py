@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from stages.shared.splat.kernels.compiling import kernel
-from stages.shared.splat.kernels.lanes import fma
-from stages.shared.splat.kernels.memory import load, store, take
+from stages.shared.splat.kernels.memory import load, next_item, store
+from stages.shared.splat.kernels.simd import fma
 
 # mypy: ignore-errors
 # (compiled and type-checked by numba)
@@ -13,11 +13,11 @@ CHAINS = 12
 
 
 @kernel
-def multiply_add_peak(turn, data, rounds, lanes):
+def multiply_add_peak(counter, data, rounds, lanes):
     """CHAINS independent chains of multiply-adds, enough to keep two units of four cycles' latency busy."""
     n = len(lanes)
     while True:
-        if take(turn) >= 1:
+        if next_item(counter) >= 1:
             break
         f, g = load(data, 0, lanes), load(data, n, lanes)
         a, b, c, d = (

@@ -21,7 +21,7 @@ from stages.shared.splat.kernels.layout import (
     WHOLE_X,
     WHOLE_Y,
 )
-from stages.shared.splat.kernels.memory import at, lowest_bit, take
+from stages.shared.splat.kernels.memory import at, lowest_bit, next_item
 from stages.shared.splat.settings import ALPHA_MAX, TRANSMITTANCE_MIN
 
 # mypy: ignore-errors
@@ -29,14 +29,14 @@ from stages.shared.splat.settings import ALPHA_MAX, TRANSMITTANCE_MIN
 
 
 @kernel
-def tally(turn, starts, gaussians, records, stride, width, height, constants, lanes, found):
+def tally(counter, starts, gaussians, records, stride, width, height, constants, lanes, found):
     """found (tiles, 2): pixels blended with a Gaussian, and blocks evaluated, of every tile."""
     count = len(lanes)
     columns = (width + TILE - 1) // TILE
     cut = constants[CUT * count]
     before = np.empty(TILE_PIXELS, np.float32)
     while True:
-        tile = take(turn)
+        tile = next_item(counter)
         if tile >= len(starts) - 1:
             break
         top, left = (tile // columns) * TILE, (tile % columns) * TILE

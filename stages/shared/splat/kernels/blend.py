@@ -1,4 +1,4 @@
-"""Forward blending: tile by tile, in two turns over a stretch of the tile's list.
+"""Forward blending: tile by tile, in two passes over a stretch of the tile's list.
 
 First every Gaussian is tested against all blocks of the tile at once (a lane is a block). Then each block
 walks the Gaussians that can reach it front to back, its pixels in registers, until all of them are opaque.
@@ -12,7 +12,6 @@ import numpy as np
 
 from stages.shared.splat.kernels.compiling import inlined, kernel
 from stages.shared.splat.kernels.falloff import block_corner, falloff, numbers, pass_through, pixel_place
-from stages.shared.splat.kernels.lanes import bits, fma, magnitude, maximum
 from stages.shared.splat.kernels.layout import (
     BLOCK_WIDTH,
     CUT,
@@ -31,18 +30,19 @@ from stages.shared.splat.kernels.layout import (
 )
 from stages.shared.splat.kernels.memory import (
     at,
-    bank,
-    bank_at,
     bit_column,
     get,
     length,
     load,
     lowest_bit,
+    next_item,
     prefetch,
     put,
+    register_tile,
+    register_tile_at,
     set_at,
-    take,
 )
+from stages.shared.splat.kernels.simd import bits, fma, magnitude, maximum
 from stages.shared.splat.settings import ALPHA_MAX
 
 # mypy: ignore-errors
@@ -50,9 +50,9 @@ from stages.shared.splat.settings import ALPHA_MAX
 
 ZERO, ONE = np.float32(0.0), np.float32(1.0)
 AHEAD = 8
-"""List entries between asking for a record and using it: about the latency of the third-level cache."""
+"""List entries between prefetch and use of a record: about the latency of the third-level cache."""
 STRETCH = 256
-"""List entries per turn: their records (64 bytes each) and the block lists stay in L1."""
+"""List entries per stretch: their records (64 bytes each) and the block lists stay in L1."""
 _SLACK = np.float32(0.01)
 """Added to the reach of a Gaussian in the block test, in units of the exponent, against rounding."""
 
@@ -157,7 +157,7 @@ def walk(
     corner_x, corner_y = block_corner(block, count, top, left)
     pixel_x = load(constants, NUMBERS * count, lanes) + np.float32(corner_x)
     pixel_y = load(constants, (NUMBERS + 1) * count, lanes) + np.float32(corner_y)
-    kept = bank_at(state, base, lanes)
+    kept = register_tile_at(state, base, lanes)
     for plane in range(length(planes)):
         put(pixels, plane, get(kept, plane))
     any_open = True
@@ -188,34 +188,34 @@ def walk(
 
 @kernel
 def blend(
-    turn, starts, gaussians, records, stride, background, features, alone_features, alpha, depth, blocks,
-    own_blocks, width, height, own_pictures, alone, constants, lanes, planes, own_planes,
+    counter, starts, gaussians, records, stride, background, features, alone_features, alpha, depth, blocks,
+    layer_blocks, width, height, layer_slots, alone, constants, lanes, planes, layer_planes,
 ):  # fmt: skip
     """Blend the tiles this thread gets.
 
-    starts (tiles + 1,), gaussians (E,) rows of records: the tile lists, nearest first. blocks, own_blocks
-    (E,) uint32: get the blocks in which an entry changed a pixel of the composite, and of its own layer's
-    picture, one bit each: all that the backward pass visits. own_pictures, alone: None, or for each row the
-    number of its layer's picture, from 1 on (0: only the composite shows it), and how many layers are
-    rendered alone beside the composite. planes, own_planes: 2 + channels of either, as sizes.
+    starts (tiles + 1,), gaussians (E,) rows of records: the tile lists, nearest first. blocks, layer_blocks
+    (E,) uint32: set to the blocks in which an entry changed a pixel of the composite, and of its layer's
+    picture, one bit each: the backward pass visits only these. layer_slots, alone: None, or for each row the
+    number of its layer's picture, from 1 on (0: only the composite shows it), and the number of layers that
+    are rendered alone. planes, layer_planes: 2 + channels of either, as sizes.
     """
     count = len(lanes)
     columns = (width + TILE - 1) // TILE
     tiles = len(starts) - 1
     others = 0 if alone is None else alone
-    size, own_size = length(planes) * count, length(own_planes) * count
+    size, layer_size = length(planes) * count, length(layer_planes) * count
     # In `state` the composite comes first, then the others, which may have fewer planes.
-    first_other, other_size = length(planes) * TILE_PIXELS, length(own_planes) * TILE_PIXELS
+    first_other, other_size = length(planes) * TILE_PIXELS, length(layer_planes) * TILE_PIXELS
     kind = records.dtype
     state = np.empty(first_other + others * other_size, kind)
     live = np.empty(1 + others, np.int64)
     reached = np.empty(STRETCH, np.int32)
     members = np.empty((1 + others, STRETCH // 64), np.int64)
-    pixels = bank(planes, np.empty(size, kind), lanes)
-    own_pixels = bank(own_planes, np.empty(own_size, kind), lanes)
+    pixels = register_tile(planes, np.empty(size, kind), lanes)
+    layer_pixels = register_tile(layer_planes, np.empty(layer_size, kind), lanes)
     number = numbers(constants, lanes)
     while True:
-        tile = take(turn)
+        tile = next_item(counter)
         if tile >= tiles:
             break
         first, last = starts[tile], starts[tile + 1]
@@ -224,14 +224,14 @@ def blend(
             _empty_picture(0, planes, top, left, width, height, background, features, 0, alpha, depth)
             for other in range(others):
                 _empty_picture(
-                    1 + other, own_planes, top, left, width, height, background, alone_features,
-                    other * height * width * (length(own_planes) - 2), alpha, depth,
+                    1 + other, layer_planes, top, left, width, height, background, alone_features,
+                    other * height * width * (length(layer_planes) - 2), alpha, depth,
                 )  # fmt: skip
             continue
         live[:] = _blocks_inside(lanes, top, left, width, height)
         start_pictures(state, 0, 1, length(planes), lanes, top, left, width, height)
         if alone is not None:
-            start_pictures(state, first_other, others, length(own_planes), lanes, top, left, width, height)
+            start_pictures(state, first_other, others, length(layer_planes), lanes, top, left, width, height)
         for begin in range(first, last, STRETCH):
             end = min(begin + STRETCH, last)
             anything = at(live, 0)
@@ -243,7 +243,7 @@ def blend(
                 for entry in range(begin, last):
                     blocks[entry] = 0
                     if alone is not None:
-                        own_blocks[entry] = 0
+                        layer_blocks[entry] = 0
                 break
             union = 0
             for entry in range(begin, end):
@@ -252,8 +252,8 @@ def blend(
                 set_at(blocks, entry, np.uint32(0))
                 record = at(gaussians, entry) * stride
                 if alone is not None:
-                    set_at(own_blocks, entry, np.uint32(0))
-                    own = np.int64(at(own_pictures, at(gaussians, entry)))
+                    set_at(layer_blocks, entry, np.uint32(0))
+                    own = np.int64(at(layer_slots, at(gaussians, entry)))
                     members[own, (entry - begin) >> 6] |= 1 << ((entry - begin) & 63)
                 todo = anything & reached_blocks(records, record, constants, top, left, lanes)
                 union |= todo
@@ -271,10 +271,11 @@ def blend(
                     live[0] &= ~bit
                 if alone is not None:
                     for picture in range(1, 1 + others):
-                        place = first_other + (picture - 1) * other_size + block * own_size
+                        place = first_other + (picture - 1) * other_size + block * layer_size
                         if at(live, picture) & bit != 0 and not walk(
-                            state, place, own_planes, own_pixels, members[picture], reached, block, gaussians,
-                            begin, end, records, stride, own_blocks, constants, number, top, left, lanes,
+                            state, place, layer_planes, layer_pixels, members[picture], reached, block,
+                            gaussians, begin, end, records, stride, layer_blocks, constants, number, top,
+                            left, lanes,
                         ):  # fmt: skip
                             live[picture] &= ~bit
         _finish_picture(
@@ -282,27 +283,27 @@ def blend(
         )
         for other in range(others):
             _finish_picture(
-                state, first_other + other * other_size, 1 + other, own_planes, count, top, left, width,
-                height, background, alone_features, other * height * width * (length(own_planes) - 2), alpha,
-                depth,
+                state, first_other + other * other_size, 1 + other, layer_planes, count, top, left, width,
+                height, background, alone_features, other * height * width * (length(layer_planes) - 2),
+                alpha, depth,
             )  # fmt: skip
 
 
 @kernel
 def median_depths(
-    turn, starts, gaussians, blocks, own_blocks, records, stride, depth, width, height, own_pictures, alone,
-    constants, lanes,
+    counter, starts, gaussians, blocks, layer_blocks, records, stride, depth, width, height, layer_slots,
+    alone, constants, lanes,
 ):  # fmt: skip
     """Camera depth at which each pixel's transmittance first falls to one half; 0 where it never does.
 
-    A plain loop over pixels: nobody differentiates it, and it is made only when asked for. Runs after blend.
+    A plain loop over pixels: it has no gradient and is computed only on request. Runs after `blend`.
     """
     count = len(lanes)
     columns = (width + TILE - 1) // TILE
     sets = 1 if alone is None else 1 + alone
     cut = constants[CUT * count]
     while True:
-        tile = take(turn)
+        tile = next_item(counter)
         if tile >= len(starts) - 1:
             break
         top, left = (tile // columns) * TILE, (tile % columns) * TILE
@@ -314,7 +315,7 @@ def median_depths(
                         r = gaussians[entry] * stride
                         shown = blocks[entry] != 0
                         if alone is not None and picture > 0:
-                            shown = own_blocks[entry] != 0 and own_pictures[gaussians[entry]] == picture
+                            shown = layer_blocks[entry] != 0 and layer_slots[gaussians[entry]] == picture
                         if not shown:
                             continue
                         x = np.float32(column + 0.5) - records[r + WHOLE_X]

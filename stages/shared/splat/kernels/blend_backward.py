@@ -6,8 +6,9 @@ list per pixel is kept and nothing is divided to recover a transmittance. Per pi
     d(loss)/d(alpha_k) = T_k value_k - rest_k / (1 - alpha_k),   value_k = G . c_k + g_z z_k + g_alpha,
     rest_k = total - sum_{j<=k} w_j value_j,                     total = sum_j w_j value_j,
 
-where g_alpha includes the background (it is seen through what is left). Gradients of one entry (tile,
-Gaussian) go to a slot of its own: nothing is added concurrently, and the order of additions is fixed.
+where g_alpha includes the background, which is visible through the remaining transmittance. Gradients of one
+entry (tile, Gaussian) go to a separate slot: nothing is added concurrently, and the order of additions is
+fixed.
 """
 
 from __future__ import annotations
@@ -17,7 +18,6 @@ import numpy as np
 from stages.shared.splat.kernels.blend import AHEAD, ONE, ZERO
 from stages.shared.splat.kernels.compiling import inlined, kernel
 from stages.shared.splat.kernels.falloff import block_corner, falloff, numbers, pass_through, pixel_place
-from stages.shared.splat.kernels.lanes import fma, negative, where
 from stages.shared.splat.kernels.layout import (
     DEPTH,
     NUMBERS,
@@ -33,20 +33,21 @@ from stages.shared.splat.kernels.layout import (
 )
 from stages.shared.splat.kernels.memory import (
     at,
-    bank,
-    bank_at,
     get,
     lane_sums,
     length,
     load,
     lowest_bit,
+    next_item,
     prefetch,
     prefetch_to_write,
     put,
+    register_tile,
+    register_tile_at,
     set_at,
     store,
-    take,
 )
+from stages.shared.splat.kernels.simd import fma, negative, where
 
 # mypy: ignore-errors
 # (compiled and type-checked by numba)
@@ -82,7 +83,7 @@ def _start_picture(
                 whole += g * at(features, colors + c)
                 set_at(state, place + (_PLANES + c) * count, g)
             of_alpha, of_depth = at(g_alpha, pixel), at(g_depth, pixel)
-            # `features` has the background in it, seen through 1 - alpha: take that out.
+            # `features` contains the background, weighted by 1 - alpha: remove it.
             rest = whole - behind + at(alpha, pixel) * of_alpha + at(depth, pixel) * of_depth
             set_at(state, place, ONE)
             set_at(state, place + _REST * count, rest)
@@ -92,7 +93,7 @@ def _start_picture(
 
 @inlined
 def _pull(pixels, records, record, alpha, inverse, number, grads, channels):
-    """One picture's part of d(loss)/d(alpha) of a block; adds depth and colour gradients to the bank."""
+    """One picture's part of d(loss)/d(alpha) of a block; adds depth and colour gradients to the tile."""
     before = get(pixels, 0)
     weight, after, still_open = pass_through(before, alpha, number)
     put(pixels, 0, after)
@@ -108,7 +109,7 @@ def _pull(pixels, records, record, alpha, inverse, number, grads, channels):
 
 @inlined
 def _visit(todo, state, base, planes, places, records, record, number, grads, channels, lanes):
-    """Add to the bank what a Gaussian gets from the blocks `todo` of the picture that begins at `base`."""
+    """Add to the tile the gradients of a Gaussian from the blocks `todo` of the picture at `base`."""
     count = len(lanes)
     while todo != 0:
         block = lowest_bit(todo)
@@ -116,7 +117,7 @@ def _visit(todo, state, base, planes, places, records, record, number, grads, ch
         pixel_x = load(places, 2 * block * count, lanes)
         pixel_y = load(places, (2 * block + 1) * count, lanes)
         x, y, u, v, power, alpha, _ = falloff(pixel_x, pixel_y, records, record, number, lanes)
-        pixels = bank_at(state, base + block * planes * count, lanes)
+        pixels = register_tile_at(state, base + block * planes * count, lanes)
         g_alpha = _pull(pixels, records, record, alpha, ONE / (ONE - alpha), number, grads, channels)
         h = where(power < number[8], g_alpha * alpha, ZERO)
         hu, hv = h * u, h * v
@@ -130,29 +131,29 @@ def _visit(todo, state, base, planes, places, records, record, number, grads, ch
 
 @kernel
 def blend_backward(
-    turn, starts, gaussians, slots, records, stride, background, features, alone_features, alpha, depth,
-    blocks, own_blocks, g_features, g_alone_features, g_alpha, g_depth, sums, width, height, own_pictures,
+    counter, starts, gaussians, slots, records, stride, background, features, alone_features, alpha, depth,
+    blocks, layer_blocks, g_features, g_alone_features, g_alpha, g_depth, sums, width, height, layer_slots,
     alone, constants, lanes, channels, slot, alone_channels,
 ):  # fmt: skip
     """Gradients of the tiles this thread gets: sums (E * slot length,), in the slot of each entry.
 
-    own_pictures, alone, alone_channels: as in `blend`.
+    layer_slots, alone, alone_channels: as in `blend`.
     """
     count = len(lanes)
     columns = (width + TILE - 1) // TILE
     tiles = len(starts) - 1
     others = 0 if alone is None else alone
-    planes, own_planes = _PLANES + length(channels), _PLANES + length(alone_channels)
-    first_other, other_size = planes * TILE_PIXELS, own_planes * TILE_PIXELS
+    planes, layer_planes = _PLANES + length(channels), _PLANES + length(alone_channels)
+    first_other, other_size = planes * TILE_PIXELS, layer_planes * TILE_PIXELS
     kind = records.dtype
     state = np.empty(first_other + others * other_size, kind)
     places = np.empty(2 * TILE_PIXELS, kind)
-    grads = bank(slot, np.empty(length(slot) * count, kind), lanes)
+    grads = register_tile(slot, np.empty(length(slot) * count, kind), lanes)
     number = numbers(constants, lanes)
     lane_x, lane_y = load(constants, NUMBERS * count, lanes), load(constants, (NUMBERS + 1) * count, lanes)
     zero = load(np.zeros(count, kind), 0, lanes)
     while True:
-        tile = take(turn)
+        tile = next_item(counter)
         if tile >= tiles:
             break
         first, last = starts[tile], starts[tile + 1]
@@ -179,7 +180,7 @@ def blend_backward(
                 prefetch_to_write(sums, np.int64(at(slots, entry + AHEAD)) * length(slot))
             todo, own_todo = np.int64(at(blocks, entry)), 0
             if alone is not None:
-                own_todo = np.int64(at(own_blocks, entry))
+                own_todo = np.int64(at(layer_blocks, entry))
             if todo | own_todo == 0:
                 for k in range(0, length(slot), count):
                     store(sums, np.int64(at(slots, entry)) * length(slot) + k, zero)
@@ -189,10 +190,10 @@ def blend_backward(
                 put(grads, k, zero)
             _visit(todo, state, 0, planes, places, records, record, number, grads, channels, lanes)
             if alone is not None:
-                base = first_other + (np.int64(at(own_pictures, at(gaussians, entry))) - 1) * other_size
+                base = first_other + (np.int64(at(layer_slots, at(gaussians, entry))) - 1) * other_size
                 _visit(
-                    own_todo, state, base, own_planes, places, records, record, number, grads, alone_channels,
-                    lanes,
+                    own_todo, state, base, layer_planes, places, records, record, number, grads,
+                    alone_channels, lanes,
                 )  # fmt: skip
             for k in range(0, length(slot), count):
                 store(sums, np.int64(at(slots, entry)) * length(slot) + k, lane_sums(grads, k))

@@ -11,7 +11,6 @@ from numba import types
 from numba.extending import overload
 
 from stages.shared.splat.kernels.compiling import inlined
-from stages.shared.splat.kernels.lanes import fma, magnitude, minimum, negative, scale_by_low_bits, where
 from stages.shared.splat.kernels.layout import (
     BLOCK_WIDTH,
     BLOCKS_ACROSS,
@@ -24,7 +23,8 @@ from stages.shared.splat.kernels.layout import (
     WHOLE_X,
     WHOLE_Y,
 )
-from stages.shared.splat.kernels.memory import at, load, spread
+from stages.shared.splat.kernels.memory import at, broadcast, load
+from stages.shared.splat.kernels.simd import fma, magnitude, minimum, negative, scale_by_low_bits, where
 
 # mypy: ignore-errors
 # (compiled and type-checked by numba)
@@ -84,10 +84,10 @@ def falloff(pixel_x, pixel_y, records, record, number, lanes):
     The power is 2^(log_opacity - u^2 - v^2); garbage far outside the Gaussian.
     """
     x, y = pixel_x - at(records, record + WHOLE_X), pixel_y - at(records, record + WHOLE_Y)
-    ux, u_y = spread(at(records, record + UX), lanes), spread(at(records, record + UY), lanes)
-    u = fma(ux, x, fma(u_y, y, spread(at(records, record + U0), lanes)))
-    v = fma(spread(at(records, record + VY), lanes), y, spread(at(records, record + V0), lanes))
-    exponent = fma(negative(u), u, fma(negative(v), v, spread(at(records, record + LOG_OPACITY), lanes)))
+    ux, u_y = broadcast(at(records, record + UX), lanes), broadcast(at(records, record + UY), lanes)
+    u = fma(ux, x, fma(u_y, y, broadcast(at(records, record + U0), lanes)))
+    v = fma(broadcast(at(records, record + VY), lanes), y, broadcast(at(records, record + V0), lanes))
+    exponent = fma(negative(u), u, fma(negative(v), v, broadcast(at(records, record + LOG_OPACITY), lanes)))
     keep = exponent >= number[7]
     raised = power(exponent, number)
     return x, y, u, v, raised, where(keep, minimum(raised, number[8]), 0.0), keep

@@ -1,8 +1,9 @@
 """Geometry of projection, eight Gaussians at a time in float64; forward and backward share it.
 
 Doubles, because needles (one axis ten thousand times the other) lose all digits of their 2-D determinant in
-float32, and because a vector of doubles costs little beside the memory traffic. Each group of Gaussians is
-transposed into a table (one row per quantity) that stays in L1; the mathematics then runs along the rows.
+float32, and because a vector of doubles costs little compared with the memory traffic. Each group of
+Gaussians is transposed into a table (one row per quantity) that stays in L1; the mathematics then runs along
+the rows.
 Formulas: Zwicker et al. 2001 (EWA splatting); the names are those of `reference.py`.
 """
 
@@ -13,7 +14,9 @@ import math
 import numpy as np
 
 from stages.shared.splat.kernels.compiling import inlined
-from stages.shared.splat.kernels.lanes import (
+from stages.shared.splat.kernels.layout import GROUP
+from stages.shared.splat.kernels.memory import at, load, set_at, store
+from stages.shared.splat.kernels.simd import (
     floor,
     fma,
     maximum,
@@ -23,8 +26,6 @@ from stages.shared.splat.kernels.lanes import (
     to_single,
     where,
 )
-from stages.shared.splat.kernels.layout import GROUP
-from stages.shared.splat.kernels.memory import at, load, set_at, store
 
 # mypy: ignore-errors
 # (compiled and type-checked by numba)

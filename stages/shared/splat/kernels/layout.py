@@ -34,10 +34,10 @@ GROUP = 64
 """Gaussians that projection handles at once: enough to amortise the transposition, small enough for L1."""
 
 GROUPS_PER_TURN = 4
-"""Groups a thread takes at a time."""
+"""Groups per work item."""
 
 SPECIALISED_CHANNELS = range(1, 9)
-"""Channel counts with code of their own, compiled when first used; others share one general version."""
+"""Channel counts with specialised code, compiled on first use; others share one general version."""
 
 
 @functools.cache
@@ -98,5 +98,5 @@ def constants(lanes: int, settings: SplatSettings = SplatSettings()) -> np.ndarr
 
 
 def element_type(settings: SplatSettings) -> np.dtype:
-    """What records, pictures and gradient slots are made of."""
+    """Element type of records, pictures and gradient slots."""
     return np.dtype(np.float64 if settings.precision == "double" else np.float32)

@@ -1,6 +1,7 @@
-"""Vector registers and memory: loads, stores, prefetches, the shared counter, and banks of registers.
+"""Vector registers and memory: loads, stores, prefetches, the shared counter, and register tiles.
 
-Like `lanes`, a dictionary between numba and LLVM. Arrays are flat and contiguous; indices are not checked.
+Like `simd.py`, this maps numba functions to LLVM instructions. Arrays are flat and contiguous. Indices are
+not checked.
 """
 
 from __future__ import annotations
@@ -12,20 +13,20 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic, models, register_model
 
-from stages.shared.splat.kernels.lanes import BYTES, I32, I64, Lanes, spread_lanes
+from stages.shared.splat.kernels.simd import BYTES, I32, I64, Lanes, broadcast_lanes
 
 
-class Bank(types.Type):
-    """A few `Lanes` on the stack: registers, when the indices are known to the compiler."""
+class RegisterTile(types.Type):
+    """Several `Lanes` on the stack; they become registers when the compiler knows the indices."""
 
     def __init__(self, lanes: Lanes) -> None:
         self.lanes = lanes
-        super().__init__(f"bank({lanes})")
+        super().__init__(f"register_tile({lanes})")
 
 
-@register_model(Bank)
-class _BankModel(models.PrimitiveModel):
-    def __init__(self, manager: Any, kind: Bank) -> None:
+@register_model(RegisterTile)
+class _RegisterTileModel(models.PrimitiveModel):
+    def __init__(self, manager: Any, kind: RegisterTile) -> None:
         super().__init__(manager, kind, kind.lanes.ir_type.as_pointer())
 
 
@@ -36,7 +37,7 @@ def _element_pointer(context: Any, builder: Any, kind: types.Array, array: Any, 
 
 @intrinsic
 def load(typingctx: Any, array: Any, index: Any, lanes: Any) -> Any:
-    """As many consecutive numbers of a flat contiguous array as `lanes` is long."""
+    """len(lanes) consecutive numbers of a flat contiguous array."""
     kind = Lanes(array.dtype, len(lanes))
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -114,30 +115,30 @@ def _prefetch(array: Any, to_write: int) -> Any:
 
 @intrinsic
 def prefetch(typingctx: Any, array: Any, index: Any) -> Any:
-    """Ask for the cache line of array[index], to read it."""
+    """Prefetch the cache line of array[index] for reading."""
     return _prefetch(array, 0)
 
 
 @intrinsic
 def prefetch_to_write(typingctx: Any, array: Any, index: Any) -> Any:
-    """Ask for the cache line of array[index], to write it."""
+    """Prefetch the cache line of array[index] for writing."""
     return _prefetch(array, 1)
 
 
 @intrinsic
-def spread(typingctx: Any, value: Any, lanes: Any) -> Any:
+def broadcast(typingctx: Any, value: Any, lanes: Any) -> Any:
     """A float in every lane."""
     kind = Lanes(value, len(lanes))
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return spread_lanes(context, builder, args[0], sig.args[0], kind)
+        return broadcast_lanes(context, builder, args[0], sig.args[0], kind)
 
     return kind(value, lanes), lower
 
 
 @intrinsic
-def take(typingctx: Any, counter: Any) -> Any:
-    """Atomically count up an int64 array's first element; returns the value before."""
+def next_item(typingctx: Any, counter: Any) -> Any:
+    """Atomically increment the first element of an int64 array; returns the value before."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         place = _element_pointer(context, builder, sig.args[0], args[0], ir.Constant(I64, 0))
@@ -157,9 +158,9 @@ def lowest_bit(typingctx: Any, value: Any) -> Any:
 
 
 @intrinsic
-def bank(typingctx: Any, size: Any, scratch: Any, lanes: Any) -> Any:
-    """Room for lanes: on the stack when `size` is a tuple (its length known), else in the array `scratch`."""
-    kind = Bank(Lanes(scratch.dtype, len(lanes)))
+def register_tile(typingctx: Any, size: Any, scratch: Any, lanes: Any) -> Any:
+    """Memory for lanes: on the stack if `size` is a tuple (length known), else in the array `scratch`."""
+    kind = RegisterTile(Lanes(scratch.dtype, len(lanes)))
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         if isinstance(sig.args[0], types.BaseTuple):
@@ -172,9 +173,9 @@ def bank(typingctx: Any, size: Any, scratch: Any, lanes: Any) -> Any:
 
 
 @intrinsic
-def bank_at(typingctx: Any, array: Any, index: Any, lanes: Any) -> Any:
-    """The numbers of a flat contiguous array from `index` on, as a bank."""
-    kind = Bank(Lanes(array.dtype, len(lanes)))
+def register_tile_at(typingctx: Any, array: Any, index: Any, lanes: Any) -> Any:
+    """The numbers of a flat contiguous array from `index` on, as a register tile."""
+    kind = RegisterTile(Lanes(array.dtype, len(lanes)))
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         start = _element_pointer(context, builder, sig.args[0], args[0], args[1])
@@ -185,7 +186,7 @@ def bank_at(typingctx: Any, array: Any, index: Any, lanes: Any) -> Any:
 
 @intrinsic
 def put(typingctx: Any, place: Any, index: Any, value: Any) -> Any:
-    """bank[index] = value."""
+    """tile[index] = value."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         builder.store(args[2], builder.gep(args[0], [args[1]]), align=4)
@@ -196,7 +197,7 @@ def put(typingctx: Any, place: Any, index: Any, value: Any) -> Any:
 
 @intrinsic
 def get(typingctx: Any, place: Any, index: Any) -> Any:
-    """bank[index]."""
+    """tile[index]."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return builder.load(builder.gep(args[0], [args[1]]), align=4, typ=sig.return_type.ir_type)
@@ -206,7 +207,7 @@ def get(typingctx: Any, place: Any, index: Any) -> Any:
 
 @intrinsic
 def lane_sums(typingctx: Any, place: Any, first: Any) -> Any:
-    """Sums over the lanes of `count` entries of a bank from `first` on: entry k ends up in lane k.
+    """Sums over the lanes of `count` entries of a register tile from `first` on: entry k ends up in lane k.
 
     A butterfly: at each level pairs of registers are merged into one, so that L registers cost L - 1 merges.
     """
@@ -235,7 +236,7 @@ def lane_sums(typingctx: Any, place: Any, first: Any) -> Any:
 
 @intrinsic
 def length(typingctx: Any, size: Any) -> Any:
-    """How many: the length of a tuple (then known to the compiler), or the number itself."""
+    """The length of a tuple (known to the compiler), or the number itself."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         if isinstance(sig.args[0], types.BaseTuple):

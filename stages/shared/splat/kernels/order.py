@@ -10,7 +10,7 @@ import numpy as np
 
 from stages.shared.splat.kernels.compiling import kernel
 from stages.shared.splat.kernels.layout import TILE_SHIFT
-from stages.shared.splat.kernels.memory import at, prefetch, take
+from stages.shared.splat.kernels.memory import at, next_item, prefetch
 
 # mypy: ignore-errors
 # (compiled and type-checked by numba)
@@ -64,11 +64,11 @@ def depth_order(keys, counts, first_slots):
 
 
 @kernel
-def count_tiles(turn, order, boxes, columns, tallies):
+def count_tiles(counter, order, boxes, columns, tile_counts):
     """Entries per tile, chunk of the order by chunk: tallies (chunks, tiles), zeroed before."""
-    chunks = len(tallies)
+    chunks = len(tile_counts)
     while True:
-        chunk = take(turn)
+        chunk = next_item(counter)
         if chunk >= chunks:
             break
         for rank in range(chunk * len(order) // chunks, (chunk + 1) * len(order) // chunks):
@@ -77,32 +77,32 @@ def count_tiles(turn, order, boxes, columns, tallies):
             right, bottom = at(boxes, box + 2) >> TILE_SHIFT, at(boxes, box + 3) >> TILE_SHIFT
             for row in range(top, bottom + 1):
                 for column in range(left, right + 1):
-                    tallies[chunk, row * columns + column] += 1
+                    tile_counts[chunk, row * columns + column] += 1
 
 
 @kernel
-def place_tiles(tallies, starts):
+def place_tiles(tile_counts, starts):
     """Counts per (chunk, tile) -> first place of each, by tile and within by chunk; starts of tiles."""
     place = 0
-    for tile in range(tallies.shape[1]):
+    for tile in range(tile_counts.shape[1]):
         starts[tile] = place
-        for chunk in range(tallies.shape[0]):
-            size = tallies[chunk, tile]
-            tallies[chunk, tile] = place
+        for chunk in range(tile_counts.shape[0]):
+            size = tile_counts[chunk, tile]
+            tile_counts[chunk, tile] = place
             place += size
-    starts[tallies.shape[1]] = place
+    starts[tile_counts.shape[1]] = place
 
 
 @kernel
-def fill_tiles(turn, order, boxes, first_slots, columns, tallies, gaussians, slots):
+def fill_tiles(counter, order, boxes, first_slots, columns, tile_counts, gaussians, slots):
     """Write the tile lists: the row of every entry and the slot of its gradient.
 
     Slots lie Gaussian by Gaussian: written here and there while blending backward, which hides it, they are
     read in order when summed.
     """
-    chunks = len(tallies)
+    chunks = len(tile_counts)
     while True:
-        chunk = take(turn)
+        chunk = next_item(counter)
         if chunk >= chunks:
             break
         stop = (chunk + 1) * len(order) // chunks
@@ -118,8 +118,8 @@ def fill_tiles(turn, order, boxes, first_slots, columns, tallies, gaussians, slo
             for row in range(top, bottom + 1):
                 for column in range(left, right + 1):
                     tile = row * columns + column
-                    place = tallies[chunk, tile]
-                    tallies[chunk, tile] = place + 1
+                    place = tile_counts[chunk, tile]
+                    tile_counts[chunk, tile] = place + 1
                     gaussians[place] = row_index
                     slots[place] = slot
                     slot += 1

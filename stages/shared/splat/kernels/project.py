@@ -38,7 +38,6 @@ from stages.shared.splat.kernels.geometry import (
     split_center,
     to_camera,
 )
-from stages.shared.splat.kernels.lanes import floor, magnitude, maximum, minimum, root, where
 from stages.shared.splat.kernels.layout import (
     COLOR,
     DEPTH,
@@ -54,7 +53,8 @@ from stages.shared.splat.kernels.layout import (
     WHOLE_X,
     WHOLE_Y,
 )
-from stages.shared.splat.kernels.memory import at, set_at, take
+from stages.shared.splat.kernels.memory import at, next_item, set_at
+from stages.shared.splat.kernels.simd import floor, magnitude, maximum, minimum, root, where
 from stages.shared.splat.settings import SHORTEST_QUATERNION
 
 # mypy: ignore-errors
@@ -73,7 +73,7 @@ _FORWARD_ROWS = FIRST_FREE + _RECORD + 4
 
 
 @inlined
-def _acceptable(table, place, covars):
+def _is_valid(table, place, covars):
     """False for numbers that `scene.check_gaussians` refuses: it then finds out which and why."""
     everything = row_of(table, OPACITY, place)
     for k in range(3):
@@ -93,7 +93,7 @@ def _acceptable(table, place, covars):
 
 @kernel
 def project(
-    turn, means, quats, scales, covars, opacities, colors, channels, camera, width, height,
+    counter, means, quats, scales, covars, opacities, colors, channels, camera, width, height,
     records, stride, boxes, depths, counts,
 ):  # fmt: skip
     """Gaussians -> records, boxes (4N,) uint16 px inclusive, depths (N,) m, counts (N,) of tiles.
@@ -105,7 +105,7 @@ def project(
     table = np.empty(_FORWARD_ROWS * GROUP, np.float64)
     per_turn = GROUP * GROUPS_PER_TURN
     while True:
-        begin = take(turn) * per_turn
+        begin = next_item(counter) * per_turn
         if begin >= n:
             break
         for group in range(begin, min(begin + per_turn, n), GROUP):
@@ -179,7 +179,7 @@ def _project_lanes(table, place, camera, covars, width, height):
     set_row(table, FIRST_FREE + LOG_OPACITY, place, log_opacity)
     set_row(table, FIRST_FREE + DEPTH, place, z)
     # left > right says unseen; left = 2 as well, refused.
-    fine = _acceptable(table, place, covars)
+    fine = _is_valid(table, place, covars)
     set_row(table, _O_LEFT, place, where(fine, where(seen, left, 1.0), 2.0))
     set_row(table, _O_RIGHT, place, where(fine & seen, right, 0.0))
     set_row(table, _O_TOP, place, top)

@@ -39,7 +39,6 @@ from stages.shared.splat.kernels.geometry import (
     split_center,
     to_camera,
 )
-from stages.shared.splat.kernels.lanes import maximum, minimum, root, total, where
 from stages.shared.splat.kernels.layout import (
     GROUP,
     GROUPS_PER_TURN,
@@ -52,7 +51,18 @@ from stages.shared.splat.kernels.layout import (
     SUM_HV,
     SUM_HVY,
 )
-from stages.shared.splat.kernels.memory import at, bank, get, length, load, put, set_at, store, take
+from stages.shared.splat.kernels.memory import (
+    at,
+    get,
+    length,
+    load,
+    next_item,
+    put,
+    register_tile,
+    set_at,
+    store,
+)
+from stages.shared.splat.kernels.simd import maximum, minimum, root, total, where
 
 # mypy: ignore-errors
 # (compiled and type-checked by numba)
@@ -73,7 +83,7 @@ _BACKWARD_ROWS = _G_OPACITY + 1
 
 @kernel
 def project_backward(
-    turn, means, quats, scales, covars, opacities, camera, counts, first_slots, sums, lanes, slot,
+    counter, means, quats, scales, covars, opacities, camera, counts, first_slots, sums, lanes, slot,
     channels, add, g_means, g_quats, g_scales, g_covars, g_opacities, g_colors, g_camera,
 ):  # fmt: skip
     """Sum every Gaussian's slots, in order of its tiles, and carry the sums back to the inputs.
@@ -85,12 +95,12 @@ def project_backward(
     parts = length(slot) // len(lanes)
     table = np.zeros(_BACKWARD_ROWS * GROUP, np.float64)
     collected = np.empty(GROUP * length(slot), sums.dtype)
-    whole = bank(slot, np.empty(length(slot), sums.dtype), lanes)
+    whole = register_tile(slot, np.empty(length(slot), sums.dtype), lanes)
     zero = load(np.zeros(len(lanes), sums.dtype), 0, lanes)
     of_camera = np.empty(CAMERA_GRADIENTS * WIDE, np.float64)
     per_turn = GROUP * GROUPS_PER_TURN
     while True:
-        mine = take(turn)
+        mine = next_item(counter)
         begin = mine * per_turn
         if begin >= n:
             break
@@ -114,7 +124,7 @@ def project_backward(
                 for k in range(SUM_COLOR):
                     set_at(table, (_SUMS + k) * GROUP + j, np.float64(at(collected, place + k)))
                 for c in range(channels):
-                    _give(g_colors, g * channels + c, at(collected, place + SUM_COLOR + c), add)
+                    _write(g_colors, g * channels + c, at(collected, place + SUM_COLOR + c), add)
             if any_seen:
                 gather(table, group, count, means, quats, scales, covars, opacities)
                 for k in range(SUM_COLOR):
@@ -131,7 +141,7 @@ def project_backward(
 
 
 @inlined
-def _give(array, index, value, add):
+def _write(array, index, value, add):
     """Write a gradient, or add it."""
     set_at(array, index, at(array, index) + value if add else value)
 
@@ -142,26 +152,26 @@ def _scatter(table, group, count, add, g_means, g_quats, g_scales, g_covars, g_o
     for j in range(count):
         g = group + j
         for k in range(3):
-            _give(g_means, 3 * g + k, at(table, (_G_MEAN + k) * GROUP + j), add)
+            _write(g_means, 3 * g + k, at(table, (_G_MEAN + k) * GROUP + j), add)
         if g_quats is not None:
             for k in range(4):
-                _give(g_quats, 4 * g + k, at(table, (_G_SHAPE + k) * GROUP + j), add)
+                _write(g_quats, 4 * g + k, at(table, (_G_SHAPE + k) * GROUP + j), add)
             for k in range(3):
-                _give(g_scales, 3 * g + k, at(table, (_G_SHAPE + 4 + k) * GROUP + j), add)
+                _write(g_scales, 3 * g + k, at(table, (_G_SHAPE + 4 + k) * GROUP + j), add)
         if g_covars is not None:
             place = _G_SHAPE * GROUP + j
             for row in range(3):
                 for column in range(row, 3):
                     value = at(table, place)
-                    _give(g_covars, 9 * g + 3 * row + column, value, add)
+                    _write(g_covars, 9 * g + 3 * row + column, value, add)
                     if row != column:
-                        _give(g_covars, 9 * g + 3 * column + row, value, add)
+                        _write(g_covars, 9 * g + 3 * column + row, value, add)
                     place += GROUP
-        _give(g_opacities, g, at(table, _G_OPACITY * GROUP + j), add)
+        _write(g_opacities, g, at(table, _G_OPACITY * GROUP + j), add)
 
 
 @inlined
-def _more(of_camera, k, value):
+def _accumulate(of_camera, k, value):
     store(of_camera, k * WIDE, load(of_camera, k * WIDE, EIGHT) + value)
 
 
@@ -276,16 +286,16 @@ def _project_lanes_backward(table, place, camera, covars, of_camera):
     for k in range(3):
         mean = row_of(table, MEAN + k, place)
         g_x_k, g_y_k = g_row_x[k] * scale_x, g_row_y[k] * scale_y
-        _more(of_camera, k, g_x * mean + g_x_k)
-        _more(of_camera, 3 + k, g_y * mean + g_y_k)
-        _more(of_camera, 6 + k, g_z * mean - g_x_k * u - g_y_k * v)
-    _more(of_camera, 9, g_x)
-    _more(of_camera, 10, g_y)
-    _more(of_camera, 11, g_z)
-    _more(of_camera, 12, g_center_x * raw_u + g_scale_x * inverse_z)
-    _more(of_camera, 13, g_center_y * raw_v + g_scale_y * inverse_z)
-    _more(of_camera, 14, g_center_x)
-    _more(of_camera, 15, g_center_y)
+        _accumulate(of_camera, k, g_x * mean + g_x_k)
+        _accumulate(of_camera, 3 + k, g_y * mean + g_y_k)
+        _accumulate(of_camera, 6 + k, g_z * mean - g_x_k * u - g_y_k * v)
+    _accumulate(of_camera, 9, g_x)
+    _accumulate(of_camera, 10, g_y)
+    _accumulate(of_camera, 11, g_z)
+    _accumulate(of_camera, 12, g_center_x * raw_u + g_scale_x * inverse_z)
+    _accumulate(of_camera, 13, g_center_y * raw_v + g_scale_y * inverse_z)
+    _accumulate(of_camera, 14, g_center_x)
+    _accumulate(of_camera, 15, g_center_y)
 
 
 @inlined

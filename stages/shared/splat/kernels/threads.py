@@ -1,8 +1,8 @@
-"""A few Python threads that run one compiled function together.
+"""Runs one compiled function in several Python threads.
 
-The kernels release the GIL and take their work items from a shared counter. Plain threads instead of numba's
-threading layers, because those either forbid calls from two threads at once, or die after a fork, or bring a
-second OpenMP beside torch's. As many threads as torch uses, the caller's own among them.
+The kernels release the GIL and take their work items from a shared counter. numba's threading layers are not
+used: they either forbid calls from two threads at once, or fail after a fork, or load a second OpenMP next to
+torch's. The number of threads is torch's and includes the calling thread.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _pool_size = 0
 
 
 def _forget_pool() -> None:
-    """A forked child has the parent's pool object but none of its threads."""
+    """A forked child has the pool object of its parent, but not the threads."""
     global _lock, _pool, _pool_size
     _lock, _pool, _pool_size = threading.Lock(), None, 0
 
@@ -42,44 +42,44 @@ def _helpers(count: int) -> ThreadPoolExecutor:
         return _pool
 
 
-_watched: dict[str, float] | None = None
+_seconds: dict[str, float] | None = None
 
 
 @contextmanager
-def watch() -> Iterator[dict[str, float]]:
-    """Collect wall seconds by kernel name, of all calls inside the block (for measuring; not nested)."""
-    global _watched
-    _watched = {}
+def time_kernels() -> Iterator[dict[str, float]]:
+    """Measure wall seconds by kernel name, of all calls inside the block; does not nest."""
+    global _seconds
+    _seconds = {}
     try:
-        yield _watched
+        yield _seconds
     finally:
-        _watched = None
+        _seconds = None
 
 
-def run_alone(kernel: Callable[..., Any], *arguments: Any) -> Any:
+def run_serial(kernel: Callable[..., Any], *arguments: Any) -> Any:
     """Call kernel(*arguments) in this thread."""
     started = time.perf_counter()
     result = kernel(*arguments)
-    if _watched is not None:
+    if _seconds is not None:
         name = kernel.__name__
-        _watched[name] = _watched.get(name, 0.0) + time.perf_counter() - started
+        _seconds[name] = _seconds.get(name, 0.0) + time.perf_counter() - started
     return result
 
 
-def run_together(kernel: Callable[..., Any], *arguments: Any) -> None:
-    """Call kernel(turn, *arguments) in every thread; `turn` is the counter of work items they share."""
-    turn = np.zeros(8, np.int64)
+def run_parallel(kernel: Callable[..., Any], *arguments: Any) -> None:
+    """Call kernel(counter, *arguments) in every thread; `counter` counts the work items handed out."""
+    counter = np.zeros(8, np.int64)
     threads = torch.get_num_threads()
     started = time.perf_counter()
     others = []
     if threads > 1:
         pool = _helpers(threads - 1)
-        others = [pool.submit(kernel, turn, *arguments) for _ in range(threads - 1)]
+        others = [pool.submit(kernel, counter, *arguments) for _ in range(threads - 1)]
     try:
-        kernel(turn, *arguments)
+        kernel(counter, *arguments)
     finally:
         for other in others:
             other.result()
-    if _watched is not None:
+    if _seconds is not None:
         name = kernel.__name__
-        _watched[name] = _watched.get(name, 0.0) + time.perf_counter() - started
+        _seconds[name] = _seconds.get(name, 0.0) + time.perf_counter() - started

@@ -1,9 +1,9 @@
 """Vector registers as values inside compiled functions.
 
-The compiler does not vectorise the blending loops by itself (measured: eight times slower), so a kernel works
-on `Lanes` explicitly: `a * b + c` on sixteen (or eight) pixels at once. LLVM lowers them to whatever the host
-has: AVX-512, AVX2, SSE2, NEON. Everything below is the dictionary between numba and LLVM's vector types; no
-mathematics of splatting is here.
+The compiler does not vectorise the blending loops by itself (measured: eight times slower). A kernel
+therefore works on `Lanes` explicitly: `a * b + c` on sixteen (or eight) pixels at once. LLVM lowers them to
+the vector instructions of the host: AVX-512, AVX2, SSE2 or NEON. This module only maps numba types and
+operators to LLVM's vector types; it contains no mathematics of splatting.
 
 How many lanes: kernels take an argument `lanes`, a tuple whose length is the count (see `lanes_argument`), so
 that the count is part of the compiled signature. `channels` works the same way.
@@ -27,7 +27,7 @@ BYTES = {types.float32: 4, types.float64: 8}
 
 
 class Lanes(types.Type):
-    """`count` floats in a register."""
+    """`count` floats in a vector register."""
 
     def __init__(self, element: types.Float, count: int) -> None:
         self.element, self.count = element, count
@@ -39,7 +39,7 @@ class Lanes(types.Type):
 
 
 class Mask(types.Type):
-    """`count` truth values in a register."""
+    """`count` booleans in a vector register."""
 
     def __init__(self, count: int) -> None:
         self.count = count
@@ -66,8 +66,8 @@ def _common(args: tuple[types.Type, ...]) -> Lanes | None:
     return None
 
 
-def spread_lanes(context: Any, builder: Any, value: Any, kind: types.Type, lanes: Lanes) -> Any:
-    """A number in every lane; lanes stay what they are."""
+def broadcast_lanes(context: Any, builder: Any, value: Any, kind: types.Type, lanes: Lanes) -> Any:
+    """A number copied to every lane; lanes are returned unchanged."""
     if isinstance(kind, Lanes):
         return value
     number = context.cast(builder, value, kind, lanes.element)
@@ -101,7 +101,7 @@ def _binary(build: str, **options: Any) -> Any:
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         kind = _common(sig.args)
         assert kind is not None
-        values = [spread_lanes(context, builder, a, t, kind) for a, t in zip(args, sig.args, strict=True)]
+        values = [broadcast_lanes(context, builder, a, t, kind) for a, t in zip(args, sig.args, strict=True)]
         # Doubles (projection) may be contracted to fused multiply-adds; floats (blending) are fused
         # explicitly, so that the forward and backward passes take the same decisions bit for bit.
         flags = {"flags": ("contract",)} if kind.element == types.float64 and build != "fcmp_ordered" else {}
@@ -144,12 +144,14 @@ def _call(builder: Any, name: str, lanes: Lanes, values: list[Any]) -> Any:
 
 
 def _elementwise(name: str, arguments: int) -> Any:
-    """An intrinsic of lanes (numbers are spread) that is LLVM's `name`."""
+    """LLVM's intrinsic `name` on lanes; numbers are broadcast."""
 
     def code(sig: Any) -> Any:
         def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
             kind = sig.return_type
-            values = [spread_lanes(context, builder, a, t, kind) for a, t in zip(args, sig.args, strict=True)]
+            values = [
+                broadcast_lanes(context, builder, a, t, kind) for a, t in zip(args, sig.args, strict=True)
+            ]
             return _call(builder, name, kind, values)
 
         return lower
@@ -177,7 +179,7 @@ def _elementwise(name: str, arguments: int) -> Any:
 
 
 fma = _elementwise("fmuladd", 3)
-"""a * b + c, in one rounding where the host can."""
+"""a * b + c, with one rounding where the host supports it."""
 root = _elementwise("sqrt", 1)
 magnitude = _elementwise("fabs", 1)
 floor = _elementwise("floor", 1)
@@ -192,7 +194,7 @@ def _extreme(test: str) -> Any:
         def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
             kind = sig.return_type
             left, right = (
-                spread_lanes(context, builder, x, t, kind) for x, t in zip(args, sig.args, strict=True)
+                broadcast_lanes(context, builder, x, t, kind) for x, t in zip(args, sig.args, strict=True)
             )
             return builder.select(builder.fcmp_ordered(test, left, right), left, right)
 
@@ -236,7 +238,7 @@ def where(typingctx: Any, mask: Any, a: Any, b: Any) -> Any:
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         kind = sig.return_type
-        yes, no = (spread_lanes(context, builder, args[i], sig.args[i], kind) for i in (1, 2))
+        yes, no = (broadcast_lanes(context, builder, args[i], sig.args[i], kind) for i in (1, 2))
         return builder.select(args[0], yes, no)
 
     return kind(mask, a, b), lower

@@ -1,4 +1,4 @@
-"""Parts of the method that a run can leave out, `gw train --without sg,reg`; light, for the command line."""
+"""Parts of the method that a run can leave out: `gw train --without sg,reg`. Imports nothing heavy."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from stages.shared.errors import UsageProblem
 from stages.train.config import TrainConfig
 
 # Terms of the loss that each name switches off; sg, reg and pe are the published ablation (Gaussian Wardrobe,
-# table of the ablation: without segmentation, regularisation, penetration). What is left out is left out
-# wherever it works: tracking knows labels and collisions too.
+# table of the ablation: without segmentation, regularisation, penetration). A part is left out everywhere:
+# tracking uses labels and collisions too.
 _TERMS: dict[str, tuple[str, ...]] = {
     "sg": ("label",),
     "reg": ("offset", "smooth", "opacity", "seam", "covered_skin"),

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from stages.shared.artifacts import Progress
 from stages.shared.errors import BadData
+from stages.shared.report import Report
 from stages.train.trainer import StepReport, Trainer
 
 CHECKPOINT_NAME = "checkpoint.safetensors"
@@ -21,9 +22,8 @@ class RunState:
     """Where a run stands.
 
     Attributes:
-        tracked: frames followed so far, −1 before the warm-up. step: next step to do. elapsed: seconds
-        trained so far. skipped: steps that were not finite;
-        skipped_in_a_row: the latest of them.
+        tracked: frames tracked so far, −1 before the warm-up. step: next step to do. elapsed: seconds
+        trained so far. skipped: steps that were not finite. skipped_in_a_row: the latest of them.
     """
 
     tracked: int = -1
@@ -50,7 +50,7 @@ def save(
             arrays[f"count.{name}"] = moments["step"].cpu().numpy().reshape(1)
     if trainer.tracker is not None and not state.step:
         for name, layer in trainer.tracker.tracked.items():
-            arrays[f"tracked.{name}"] = layer.found.numpy()
+            arrays[f"tracked.{name}"] = layer.control_points.numpy()
     steps = [
         asdict(step) if step.finite else {**asdict(step), "terms": {}, "gradient_norm": 0.0}
         for step in unreported
@@ -67,7 +67,7 @@ def unreported_steps(progress: Progress) -> list[StepReport]:
 
 
 def restore(progress: Progress, trainer: Trainer) -> RunState:
-    """Take up the checkpoint, or start at step 0 when there is none. Later lines of the metrics are dropped.
+    """Read the checkpoint, or start at step 0 when there is none. Later lines of the metrics are dropped.
 
     Raises:
         BadData: the checkpoint is damaged or of other models.
@@ -83,7 +83,7 @@ def restore(progress: Progress, trainer: Trainer) -> RunState:
             raise BadData(
                 f"The checkpoint does not fit this model ({name}).",
                 str(progress.path / CHECKPOINT_NAME),
-                "Run the same command with --force to start anew.",
+                "Run the same command with --force to start again.",
             )
         parameter.data.copy_(torch.from_numpy(value))
         if f"first.{name}" in arrays:
@@ -95,14 +95,25 @@ def restore(progress: Progress, trainer: Trainer) -> RunState:
             }
     for name, layer in trainer.tracker.tracked.items() if trainer.tracker is not None else ():
         if f"tracked.{name}" in arrays:
-            layer.found.copy_(torch.from_numpy(arrays[f"tracked.{name}"]))
+            layer.control_points.copy_(torch.from_numpy(arrays[f"tracked.{name}"]))
     lines = [line for line in progress.lines(METRICS_NAME) if line["step"] < state.step]
     progress.rewrite_lines(METRICS_NAME, lines)
     return state
 
 
+def resume(progress: Progress, trainer: Trainer, report: Report) -> RunState:
+    """The state of an interrupted run in all processes, or of a new one; tells where the run continues."""
+    state = restore(progress, trainer)
+    spread(trainer, state)
+    if state.step:
+        report.say(f"going on from step {state.step}")
+    elif state.tracked > 0:
+        report.say(f"going on from frame {state.tracked} of tracking")
+    return state
+
+
 def spread(trainer: Trainer, state: RunState) -> None:
-    """Let all processes of the run stand where the first stands, to the bit."""
+    """Copy the state of the first process to all others, to the bit."""
     processes, optimizer = trainer.processes, trainer.optimizer
     if processes.count == 1:
         return
@@ -124,7 +135,7 @@ def spread(trainer: Trainer, state: RunState) -> None:
 
 
 def write_repro(progress: Progress, trainer: Trainer, report: dict[str, object]) -> str:
-    """Leave what is needed to repeat a step that was not finite; returns the folder."""
+    """Write what is needed to repeat a step that was not finite; returns the folder."""
     folder = progress.folder("repro")
     progress.write_json("repro/step.json", report)
     arrays = {name: p.detach().cpu().numpy() for name, p in trainer.parameters.items()}

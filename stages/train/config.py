@@ -52,7 +52,7 @@ class LearningRates:
 
 @dataclass(frozen=True)
 class TrackConfig:
-    """How garments are followed through the take before training (`stages/train/tracking.py`).
+    """How garments are followed through the take before training (`stages/train/tracking`).
 
     Attributes:
         frame_step: follow every so many-th frame, each with an anchor of its own; 0 switches tracking off.
@@ -92,7 +92,7 @@ class TrainConfig:
         frame_step: learn from every so many-th frame. views_per_step: cameras splatted per network pass.
         image_scale: size of the pictures learned from, 1 is the capture's. coarse_scale, coarse_until:
             smaller pictures up to this share of the run. patch: px, side of the window of each picture that
-            a step sees (`stages/train/window.py`); 0 for whole pictures.
+            a step sees (`stages/train/random_crop.py`); 0 for whole pictures.
         flow_until: share of the run in which the flow term is on, where garments are not tracked.
         stage_two: share of the run after which penetration, smoothing and the face's LPIPS are on.
         rate_end: learning rates end (cosine) at this share of their start.
@@ -105,7 +105,7 @@ class TrainConfig:
         method: what is learned: "gaussian-wardrobe" (a layer per garment), or a baseline
             (`stages/train/methods`). without: parts left out (`stages/train/ablation.py`).
         takes: training takes to learn from beside the one of the template; "all" for every one.
-        from_layers: layers that start from another subject (`stages/train/start.py`); all that both have
+        from_layers: layers that start from another subject (`stages/train/warm_start.py`); all that both have
             where it is empty and such a subject is given.
         recompute: networks' activations are computed again in the backward pass instead of kept; not part of
             what the result is named by, which is the same.

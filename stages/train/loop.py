@@ -15,18 +15,19 @@ from stages.shared.artifacts.pictures import encode_png
 from stages.shared.errors import BadData
 from stages.shared.report import Report
 from stages.train import checkpoint, schedule
-from stages.train.board import Board
 from stages.train.checkpoint import METRICS_NAME, RunState
 from stages.train.config import TrainConfig
-from stages.train.preview import preview, preview_views
+from stages.train.monitor import IntervalCallback, preview, preview_views
+from stages.train.tensorboard import TensorBoardLogger
+from stages.train.tracking.tracker import Interrupted
 from stages.train.trainer import StepReport, Trainer
-from stages.train.watch import Watch
 
 _CHECKPOINT_SECONDS = 60.0
 _PREVIEW_SECONDS = 120.0
 _STEPS_PER_LINE = 10
 _MOST_SKIPPED = 3
-_STEPS_PER_LEVELLING = 200  # processes on unlike machines, or GPUs, may drift apart by roundings
+_STEPS_PER_LEVELLING = 200  # processes on different machines, or GPUs, may drift apart by rounding
+_SAVING_SHARE = 10.0  # tracking runs at least this many times as long as saving its checkpoints
 
 
 def learn(
@@ -34,8 +35,8 @@ def learn(
     progress: Progress,
     state: RunState,
     report: Report,
-    watch: Watch | None = None,
-    board: Board | None = None,
+    watch: IntervalCallback | None = None,
+    board: TensorBoardLogger | None = None,
 ) -> None:
     """Steps until the schedule ends; checkpoints, metrics and previews on the way, to a `board` too."""
     config, processes = trainer.config, trainer.processes
@@ -45,9 +46,9 @@ def learn(
     def keep() -> None:
         checkpoint.save(progress, trainer, state, pending)
 
-    reading = trainer.views.ahead.reading()
-    with _interrupt_flag() as interrupted, processes.failing_together(keep), reading:
-        _follow(trainer, progress, state, interrupted, report)
+    prefetching = trainer.views.prefetcher.running()
+    with _interrupt_flag() as interrupted, processes.failing_together(keep), prefetching:
+        _track(trainer, progress, state, interrupted, report)
         report.step("train")
         saved = previewed = time.monotonic()
         _save_preview(trainer, progress, state, shown, board)
@@ -85,35 +86,82 @@ def learn(
         _note(progress, _line(pending, schedule.image_scale(config, 1.0)), board)
 
 
-def _note(progress: Progress, line: dict[str, Any], board: Board | None) -> None:
+def _note(progress: Progress, line: dict[str, Any], board: TensorBoardLogger | None) -> None:
     progress.append_line(METRICS_NAME, line)
     if board is not None:
         board.line(line)
 
 
-def _follow(
+def _track(
     trainer: Trainer, progress: Progress, state: RunState, interrupted: threading.Event, report: Report
 ) -> None:
-    """Warm up and follow the garments through the take, where that is asked for and not yet done."""
+    """Warm up and track the garments through the take, where that is configured and not yet done.
+
+    A request to stop is answered within one picture. The run then continues with the same frame.
+    """
     tracker, processes = trainer.tracker, trainer.processes
     if tracker is None or state.step or state.tracked >= len(tracker.order):
         return
     report.step("track")
-    saved = time.monotonic()
+    saved, save_seconds = time.monotonic(), 0.0
+    counter = _TrackingCounter(trainer, state, interrupted, report)
     while state.tracked < len(tracker.order):
-        started = time.monotonic()
-        if processes.first:  # the others wait, and take over what it finds
-            trainer.warm_up() if state.tracked < 0 else tracker.follow(state.tracked)
-        state.tracked += 1
-        turn = processes.turn(state.elapsed + time.monotonic() - started, interrupted.is_set())
+        started, stopped = time.monotonic(), False
+        try:
+            if processes.first:  # the others wait, and take over what it fits
+                if state.tracked < 0:
+                    trainer.warm_up(counter.count_step)
+                else:
+                    tracker.follow(state.tracked, counter.count_view)
+            state.tracked += 1
+        except Interrupted:
+            stopped = True
+        turn = processes.turn(state.elapsed + time.monotonic() - started, stopped or interrupted.is_set())
         state.elapsed = turn.elapsed
-        report.progress(state.tracked, len(tracker.order))
         if turn.stop:
-            _stop(lambda: checkpoint.save(progress, trainer, state), report, f"frame {state.tracked}")
-        if state.tracked == len(tracker.order) or time.monotonic() - saved > _CHECKPOINT_SECONDS:
+            _stop(
+                lambda: checkpoint.save(progress, trainer, state),
+                report,
+                f"frame {max(state.tracked, 0)} of tracking",
+            )
+        if state.tracked == len(tracker.order) or time.monotonic() - saved > _SAVING_SHARE * save_seconds:
+            saving = time.monotonic()
             checkpoint.save(progress, trainer, state)
             saved = time.monotonic()
+            save_seconds = saved - saving
     processes.spread(list(trainer.parameters.values()))
+
+
+class _TrackingCounter:
+    """Counts the pictures of warm-up and tracking for the progress, and interrupts them on request."""
+
+    def __init__(
+        self, trainer: Trainer, state: RunState, interrupted: threading.Event, report: Report
+    ) -> None:
+        assert trainer.tracker is not None
+        self._state, self._interrupted, self._report = state, interrupted, report
+        self._per_step = min(trainer.config.views_per_step, len(trainer.cameras))
+        self._frames, per_frame = len(trainer.tracker.order), trainer.tracker.units_per_frame
+        warm_up = trainer.config.track.warm_up * self._per_step if state.tracked < 0 else 0
+        self._total = warm_up + per_frame * (self._frames - max(state.tracked, 0))
+        self._done = 0
+
+    def count_step(self) -> None:
+        """Before a step of the warm-up."""
+        self._count(self._per_step)
+
+    def count_view(self) -> None:
+        """Before a picture of a frame."""
+        self._count(1)
+
+    def _count(self, pictures: int) -> None:
+        if self._interrupted.is_set():
+            raise Interrupted
+        if self._done:
+            self._report.progress(
+                min(self._done, self._total), self._total, frame=max(self._state.tracked, 0), of=self._frames
+            )
+        self._done += pictures
 
 
 def _stop(save: Callable[[], None], report: Report, place: str) -> NoReturn:
@@ -128,7 +176,7 @@ def _done(trainer: Trainer, state: RunState) -> float:
 
 
 def _position(config: TrainConfig, state: RunState) -> tuple[int, int]:
-    """Steps done, and the total as it looks now (the clock may end a run before the steps do)."""
+    """Steps done, and the expected total (the clock may end a run before the steps do)."""
     done = schedule.progress(config, state.step, state.elapsed)
     return state.step, max(state.step, round(state.step / done)) if done > 0 else config.steps
 
@@ -136,7 +184,7 @@ def _position(config: TrainConfig, state: RunState) -> tuple[int, int]:
 def _count_skipped(
     trainer: Trainer, progress: Progress, state: RunState, done: StepReport, report: Report
 ) -> None:
-    """Say which step was not finite; three in a row end the run with a folder to repeat it from."""
+    """Warn of a step that was not finite. Three in a row end the run, and leave what repeats them."""
     if done.finite:
         state.skipped_in_a_row = 0
         return
@@ -194,7 +242,7 @@ def _save_preview(
     progress: Progress,
     state: RunState,
     shown: list[tuple[int, str]],
-    board: Board | None,
+    board: TensorBoardLogger | None,
 ) -> None:
     if not trainer.processes.first:
         return
@@ -208,9 +256,7 @@ def _save_preview(
 
 @contextmanager
 def _interrupt_flag() -> Iterator[threading.Event]:
-    """Ctrl-C, or a request to end, sets a flag that the loop looks at between steps; a second one stops at
-    once.
-    """
+    """Ctrl-C or SIGTERM sets a flag, checked between steps and pictures. A second one stops at once."""
     flag = threading.Event()
     if threading.current_thread() is not threading.main_thread():
         yield flag

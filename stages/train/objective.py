@@ -28,7 +28,7 @@ from stages.shared.losses.ssim import ssim_loss
 from stages.shared.splat.api import rasterize, rasterize_layers
 from stages.shared.splat.gaussians import Gaussians
 from stages.train.config import LossWeights
-from stages.train.data import View
+from stages.train.views import View
 
 
 @dataclass(frozen=True)
@@ -70,9 +70,11 @@ def render(composite: Gaussians, camera: Camera, body_alone: bool = False, backe
 
 
 @dataclass(frozen=True)
-class Lens:
-    """How the perceptual terms look at a view: the metric, the side of its crops in px, the box of the face
-    in the view or None.
+class PerceptualCrops:
+    """The crops of a view that the perceptual terms compare.
+
+    Attributes:
+        perceptual: the metric. side: of its crops, px. face: box of the face in the view, or None.
     """
 
     perceptual: Perceptual
@@ -82,9 +84,9 @@ class Lens:
     def terms(
         self, image: Tensor, truth: Tensor, view: View, background: Tensor, weights: LossWeights
     ) -> dict[str, Tensor]:
-        """LPIPS of the subject's crop and of the face, those with a weight and something to see.
+        """LPIPS of the subject and of the face: those with a weight and with pixels.
 
-        The mask's edge is background here: a line around the subject would be a feature of its own.
+        The mask's edge is background here, because LPIPS would see a line around the subject.
         """
         valid = view.valid[..., None]
         image, truth = (picture * valid + background * (1.0 - valid) for picture in (image, truth))
@@ -104,15 +106,15 @@ def picture_terms(
     background: Tensor,
     weights: LossWeights,
     label_kind: str,
-    lens: Lens | None = None,
+    crops: PerceptualCrops | None = None,
 ) -> dict[str, Tensor]:
     """Unweighted picture terms of one camera; only those with a weight.
 
     `background` (3,) lies behind render and truth alike; pixels on the mask's edge do not count.
-    Without a `lens` there is no LPIPS.
+    Without `crops` there is no LPIPS.
     """
-    outline = weights.silhouette > 0 and BODY in composite.layers
-    picture = render(composite, view.camera, outline)
+    body_alone = weights.silhouette > 0 and BODY in composite.layers
+    picture = render(composite, view.camera, body_alone)
     valid = view.valid[..., None]
     image = picture.color + (1.0 - picture.alpha)[..., None] * background
     inside = view.inside[..., None]
@@ -124,8 +126,8 @@ def picture_terms(
         terms["flow"] = flow_loss(
             composite.means, matrix, intrinsics, picture.depth, flow.to(image), trusted.to(image.device)
         )
-    if lens is not None:
-        terms |= lens.terms(image, truth, view, background, weights)
+    if crops is not None:
+        terms |= crops.terms(image, truth, view, background, weights)
     image, truth = image * valid, truth * valid
     if weights.l1 > 0:
         terms["l1"] = l1(image, truth)
@@ -134,17 +136,17 @@ def picture_terms(
     if weights.label > 0:
         terms["label"] = label_loss(picture.labels, view.labels, view.known, label_kind)
     if picture.body_alpha is not None:
-        terms["silhouette"] = silhouette_loss(picture.body_alpha, view.outline)
+        terms["silhouette"] = silhouette_loss(picture.body_alpha, view.silhouette)
     return terms
 
 
 @dataclass(frozen=True)
-class Surfaces:
-    """What the surface terms need to know of the layers, once per run.
+class SurfaceTopology:
+    """What the surface terms need of the layers, computed once per run.
 
     Attributes:
         maps: name to maps. covered: body texels that share a pixel with a garment. hands: body texels on
-            hands, which are taken for bare skin.
+            hands, which count as bare skin.
     """
 
     maps: dict[str, LayerMaps]
@@ -152,7 +154,7 @@ class Surfaces:
     hands: Tensor
 
     @classmethod
-    def of(cls, maps: dict[str, LayerMaps]) -> Surfaces:
+    def of(cls, maps: dict[str, LayerMaps]) -> SurfaceTopology:
         """From the maps of all layers."""
         nothing = torch.zeros(0, dtype=torch.bool)
         if BODY not in maps:
@@ -164,7 +166,7 @@ class Surfaces:
 
 def surface_terms(
     posed: dict[str, PosedGaussians],
-    surfaces: Surfaces,
+    surfaces: SurfaceTopology,
     weights: LossWeights,
     margin: float,
     every: int = 1,

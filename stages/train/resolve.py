@@ -1,7 +1,8 @@
-"""The configuration of a run as method, decoder and parts left out change it."""
+"""From the configuration as given to the one that a run uses: resolved once, before anything is built."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 from stages.shared.avatar.config import NETWORKS
@@ -9,8 +10,27 @@ from stages.shared.avatar.decoders.registry import decoder_class
 from stages.shared.errors import UsageProblem
 from stages.train.ablation import apply_ablation
 from stages.train.config import TrainConfig
+from stages.train.estimate import SECONDS_PER_TRACKED_VIEW
 from stages.train.methods.registry import method_called
-from stages.train.window import SMALLEST
+from stages.train.random_crop import SMALLEST
+from stages.train.source import Source
+from stages.train.take_sequence import TakeSequence
+
+_TRACKING_SHARE = 1 / 3  # of `minutes`
+
+
+def resolve(config: TrainConfig, source: Source) -> TrainConfig:
+    """The configuration that a run uses.
+
+    Method, decoder and ablation are applied. `track.frame_step` is what the time allows. `model.anchors` is
+    the number of key poses. Losses that only a frozen body could answer are off.
+
+    Raises:
+        UsageProblem: as `resolve_settings`.
+    """
+    config = affordable_tracking(resolve_settings(config), source.sequence)
+    config = replace(config, model=replace(config.model, anchors=_key_poses(config, source.sequence)))
+    return replace(config, weights=source.warm_start.weights(config.weights))
 
 
 def resolve_settings(config: TrainConfig) -> TrainConfig:
@@ -34,4 +54,34 @@ def resolve_settings(config: TrainConfig) -> TrainConfig:
         )
     track = config.track if decoder.followed else replace(config.track, frame_step=0)
     config = replace(config, model=decoder.resolved(config.model), track=track)
-    return apply_ablation(method.resolve(config))
+    config = apply_ablation(method.resolve(config))
+    if not config.model.anchors:  # without key poses there is nothing to track
+        config = replace(config, track=replace(config.track, frame_step=0))
+    return config
+
+
+def affordable_tracking(config: TrainConfig, sequence: TakeSequence) -> TrainConfig:
+    """The configuration with a step between tracked frames that `minutes` leave time for.
+
+    Tracking may take a third of the run. If it would take longer, only frames that are learned from are
+    tracked, or every second of them, and so on. The estimate decides, not the clock, so a run can be
+    repeated.
+    """
+    step, frames = config.track.frame_step, len(sequence.frames)
+    if config.minutes <= 0 or not step:
+        return config
+    cameras = len(sequence.training_cameras)
+    most = _TRACKING_SHARE * 60.0 * config.minutes / (cameras * SECONDS_PER_TRACKED_VIEW)
+    wider = [config.frame_step * factor for factor in range(1, frames + 1)]
+    steps = (step, *(other for other in wider if other > step))
+    affordable = next((s for s in steps if math.ceil(frames / s) <= most), 0)
+    return replace(config, track=replace(config.track, frame_step=affordable))
+
+
+def _key_poses(config: TrainConfig, sequence: TakeSequence) -> int:
+    """Key poses of every garment: one per tracked frame, else as configured, at most one per frame."""
+    if not config.model.anchors:
+        return 0
+    if config.track.frame_step:
+        return len(sequence.every(config.track.frame_step))
+    return min(config.model.anchors, len(sequence.every(config.frame_step)))

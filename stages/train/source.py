@@ -1,8 +1,8 @@
-"""What `gw train` reads of a subject: stages before it, the capture, and a subject to start from."""
+"""What `gw train` reads: earlier stages, the capture, and another subject to start from."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,10 +18,10 @@ from stages.shared.errors import MissingInput, UsageProblem
 from stages.shared.layers import in_order
 from stages.shared.poses import load_poses
 from stages.train.config import ALL_TAKES, TrainConfig
-from stages.train.footage import Footage, joined
-from stages.train.methods.base import MethodLayers
+from stages.train.methods.base import Method, MethodLayers
 from stages.train.methods.registry import method_called
-from stages.train.start import Start, read_start
+from stages.train.take_sequence import TakeSequence, concatenate_takes
+from stages.train.warm_start import WarmStart, read_warm_start
 
 
 @dataclass(frozen=True)
@@ -29,16 +29,20 @@ class Source:
     """Everything the stage reads.
 
     Attributes:
-        footage: the takes; the registered one is the first. poses: row = frame number of the footage.
-        pose_files: poses of the takes that were not registered.
+        body: the registered body model. sequence: the takes; the registered one is the first.
+        poses: row = frame number of the sequence. layers: what the method learns, with the maps of the layers
+            that start from another subject. pose_files: poses of the takes that were not registered.
     """
 
     registered: Artifact
     baked: Artifact
+    body: BodyModel
     capture: Capture
-    footage: Footage
+    sequence: TakeSequence
     poses: Poses
-    start: Start
+    method: Method
+    layers: MethodLayers
+    warm_start: WarmStart
     pose_files: ExternalFiles | None = None
 
     @property
@@ -50,46 +54,47 @@ class Source:
             "bake-maps": self.baked,
             **{name: ExternalFiles(name, self.capture.root, paths) for name, paths in files.items() if paths},
         }
-        for given in (self.start.files, self.pose_files):
-            if given is not None:
-                inputs[given.name] = given
+        for files_of in (self.warm_start.files, self.pose_files):
+            if files_of is not None:
+                inputs[files_of.name] = files_of
         return inputs
 
-    def layers(self, method: str) -> MethodLayers:
-        """What a method learns: maps of the layers that are there, or those it makes of them."""
-        betas = load_poses(self.registered.file("smpl_params.npz")).betas
-        found = method_called(method).layers(_baked_maps(self.baked), torch.from_numpy(betas))
-        begun = {name: worn.maps for name, worn in self.start.layers.items()}
-        return MethodLayers({**found.maps, **begun}, found.layer_ids)
+    @property
+    def template_frame(self) -> int:
+        """Number of the frame that the template was made from."""
+        return int(self.registered.summary.get("frame", 0))
 
-    def own_maps(self, method: str) -> dict[str, dict[str, np.ndarray]]:
-        """Arrays of the maps that this run has beside those of bake-maps, by layer."""
-        if method_called(method).baked_layers:
-            return {name: worn.maps.arrays() for name, worn in self.start.layers.items()}
-        layers = self.layers(method)
-        found = {name: maps.arrays() for name, maps in layers.maps.items()}
-        for name, ids in layers.layer_ids.items():
-            found[name]["layer_ids"] = ids.numpy().astype(np.int32)
-        return found
+    def maps_to_store(self) -> dict[str, dict[str, np.ndarray]]:
+        """Arrays of the maps that differ from those of bake-maps, by layer."""
+        if self.method.baked_layers:
+            return {name: layer.maps.arrays() for name, layer in self.warm_start.layers.items()}
+        arrays = {name: maps.arrays() for name, maps in self.layers.maps.items()}
+        for name, ids in self.layers.layer_ids.items():
+            arrays[name]["layer_ids"] = ids.numpy().astype(np.int32)
+        return arrays
 
 
 def open_source(workspace: Workspace, config: TrainConfig, from_subject: Path | None = None) -> Source:
     """What a run of `config` reads.
 
     Raises:
-        MissingInput: an earlier stage has not run, or the capture has changed. Others: as `read_start`.
+        MissingInput: an earlier stage has not run, or the capture has changed. Others: as `read_warm_start`.
     """
     registered, baked = workspace.require(REGISTER_TEMPLATE), workspace.require(BAKE_MAPS)
-    start = Start()
+    body, baked_maps = BodyModel.from_arrays(registered.arrays("body.safetensors")), _baked_maps(baked)
+    warm_start, method = WarmStart(), method_called(config.method)
     if from_subject is not None:
-        start = read_start(from_subject, workspace, registered, _baked_maps(baked), config)
-    body = BodyModel.from_arrays(registered.arrays("body.safetensors"))
+        warm_start = read_warm_start(from_subject, workspace, registered, baked_maps, config)
     capture = open_subject_capture(workspace, body)
     first = _training_take(capture, str(registered.summary.get("take")))
     others = [take for take in _other_takes(capture, config.takes) if take.name != first.name]
     poses = [load_poses(registered.file("smpl_params.npz"), body), *(take.poses for take in others)]
-    footage, rows = joined([first, *others], poses, body)
-    return Source(registered, baked, capture, footage, rows, start, _pose_files(workspace, capture, others))
+    sequence, rows = concatenate_takes([first, *others], poses, body)
+    layers = method.layers(baked_maps, torch.from_numpy(poses[0].betas))
+    pretrained = {name: layer.maps for name, layer in warm_start.layers.items()}
+    layers = replace(layers, maps={**layers.maps, **pretrained})
+    pose_files = _pose_files(workspace, capture, others)
+    return Source(registered, baked, body, capture, sequence, rows, method, layers, warm_start, pose_files)
 
 
 def _training_take(capture: Capture, name: str) -> Take:
@@ -104,27 +109,27 @@ def _training_take(capture: Capture, name: str) -> Take:
 
 
 def _other_takes(capture: Capture, names: tuple[str, ...]) -> list[Take]:
-    """The takes to learn from beside the registered one, in the capture's order; `ALL_TAKES`: every one."""
+    """The takes to learn from besides the registered one, in the capture's order; `ALL_TAKES` is all."""
     known = [take.name for take in capture.training_takes]
     for name in names:
         if name not in (*known, ALL_TAKES):
-            held = name in (take.name for take in capture.test_takes)
+            held_out = name in (take.name for take in capture.test_takes)
             raise UsageProblem(
                 f"The take {name!r} is held out for tests."
-                if held
+                if held_out
                 else f"There is no training take {name!r}.",
                 "option --take",
                 "Choose of: " + ", ".join(known) + f"; or {ALL_TAKES}.",
             )
-    found = [take for take in capture.training_takes if ALL_TAKES in names or take.name in names]
-    for take in found:
+    takes = [take for take in capture.training_takes if ALL_TAKES in names or take.name in names]
+    for take in takes:
         if not take.posed:
             raise MissingInput(
                 f"The take {take.name} has no body poses.",
                 str(capture.root),
                 "Register the subject again with gw register-template --fit: it fits every take.",
             )
-    return found
+    return takes
 
 
 def _pose_files(workspace: Workspace, capture: Capture, others: list[Take]) -> ExternalFiles | None:

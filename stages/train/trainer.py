@@ -22,9 +22,7 @@ from stages.shared.errors import BadData
 from stages.shared.losses.crops import face_box, face_centre
 from stages.shared.losses.perceptual import Perceptual
 from stages.train import schedule
-from stages.train.begin import Beginnings, own_motion
 from stages.train.config import LossWeights, TrainConfig
-from stages.train.data import StepChoice, TrainingViews, ViewKey, choose
 from stages.train.distributed import ALONE, Processes
 from stages.train.gradient_boundary import (
     detach,
@@ -33,12 +31,14 @@ from stages.train.gradient_boundary import (
     take_gradients,
     upstream_gradients,
 )
-from stages.train.objective import Lens, Surfaces, picture_terms, surface_terms, weighted
+from stages.train.objective import PerceptualCrops, SurfaceTopology, picture_terms, surface_terms, weighted
 from stages.train.observation import fill_unobserved, observed_texels
 from stages.train.optimizer import adam, named_parameters
-from stages.train.tracking import Tracker
-from stages.train.warm_up import warm_up
-from stages.train.window import Window
+from stages.train.pretrained import PretrainedLayers, motion_for
+from stages.train.random_crop import RandomCrop
+from stages.train.tracking.tracker import Checkpoint, Tracker
+from stages.train.tracking.warm_up import warm_up
+from stages.train.views import StepChoice, TrainingViews, ViewKey, choose
 
 _LATER_KINDS = ("quaternion", "opacity", "scale", "color")  # free attributes that wait for full-size pictures
 _EYE_NOISE = 0.1  # m, keeps colours from memorising the training cameras' directions
@@ -47,10 +47,10 @@ _OFFSETS = torch.tensor([1.0] * 3 + [0.0] * 11)
 
 @dataclass
 class StepReport:
-    """Numbers of one step.
+    """Figures of one step.
 
     Attributes:
-        step, frame, cameras: what was seen. finite: False when the step was skipped.
+        step, frame, cameras: what the step saw. finite: False when the step was skipped.
         terms: unweighted losses, `total` weighted. gradient_norm: before clipping.
         seconds: "data", "network", "splat" (pictures with their losses), "surface", "optimiser".
     """
@@ -71,7 +71,7 @@ class Trainer:
         config: of the run. models: name to model, inner to outer, on `device`. views: training pictures.
         device: where everything is computed. perceptual: metric of the LPIPS terms; None: without.
         template_frame: the frame that the template was taken from.
-        known: name to the model as it was, of layers that begin where another training ended.
+        pretrained: name to the decoder as it was, of layers that start from another training.
         processes: that share this run.
     """
 
@@ -83,7 +83,7 @@ class Trainer:
         device: torch.device,
         perceptual: Perceptual | None = None,
         template_frame: int = 0,
-        known: Mapping[str, Decoder] | None = None,
+        pretrained: Mapping[str, Decoder] | None = None,
         processes: Processes = ALONE,
     ) -> None:
         if not any(model.key_poses for model in models.values()):  # nothing that could be followed
@@ -94,29 +94,29 @@ class Trainer:
         self.one_pass = not any(model.model_config.view_conditioning for model in models.values())
         self.perceptual = perceptual.to(device) if perceptual is not None else None
         self.frames = views.frames(config.frame_step)
-        self.cameras = views.footage.training_cameras
-        self.surfaces = Surfaces.of({name: model.maps for name, model in models.items()})
+        self.cameras = views.sequence.training_cameras
+        self.surfaces = SurfaceTopology.of({name: model.maps for name, model in models.items()})
         for model in models.values():
             model.keep_activations(not config.recompute)
         self.parameters = dict(named_parameters(models))
         self.optimizer = adam(config, models)
         self._poses: dict[int, FramePose] = {}
-        self.anchor_frames = views.frames(config.track.frame_step) if config.track.frame_step else self.frames
-        self.beginnings = Beginnings(known or {}, models, views.poses, self.pose)
+        self.key_frames = views.frames(config.track.frame_step) if config.track.frame_step else self.frames
+        self.pretrained = PretrainedLayers(pretrained or {}, models, views.poses, self.pose)
         for name, model in models.items():
-            if name not in self.beginnings.known:
-                model.fit_input(*self._local_poses(self.anchor_frames))
-        self.beginnings.place_anchors(self.anchor_frames, tracked=bool(config.track.frame_step))
-        near = np.abs(np.array(self.anchor_frames) - template_frame)
+            if name not in self.pretrained.decoders:
+                model.fit_input(*self._local_poses(self.key_frames))
+        self.pretrained.place_key_poses(self.key_frames, tracked=bool(config.track.frame_step))
+        near = np.abs(np.array(self.key_frames) - template_frame)
         self.tracker = (
             Tracker(
                 config.track,
                 models,
                 views,
-                self.anchor_frames,
+                self.key_frames,
                 int(near.argmin()),
                 self.pose,
-                self.beginnings,
+                self.pretrained,
             )
             if config.track.frame_step
             else None
@@ -126,26 +126,30 @@ class Trainer:
     def fill_unobserved(self) -> None:
         """Give texels that no picture shows the fabric of their garment. Training must not continue."""
         for name, model in self.models.items():
-            if name not in self.beginnings.frozen:
+            if name not in self.pretrained.frozen:
                 fill_unobserved(model)
 
     def observe(self) -> None:
         """Find the texels of garments that no training picture shows; pictures will not teach these."""
-        footage = self.views.footage
+        sequence = self.views.sequence
 
         def cameras(frame: int) -> list[Camera]:
-            return [footage.camera(name, frame) for name in self.cameras]
+            return [sequence.camera(name, frame) for name in self.cameras]
 
         for name, observed in observed_texels(self.models, self.frames, cameras, self.pose).items():
-            if name not in self.beginnings.known:
+            if name not in self.pretrained.decoders:
                 self.models[name].set_observed(observed)
 
-    def warm_up(self) -> None:
-        """Learn the template's own frame, from where the garments are then followed."""
+    def warm_up(self, checkpoint: Checkpoint = lambda: None) -> None:
+        """Learn the template's own frame, from where the garments are then tracked.
+
+        Raises:
+            Interrupted: by `checkpoint`, which is called once per step; nothing has changed then.
+        """
         assert self.tracker is not None
-        frame, config = self.anchor_frames[self.tracker.start], self.config
+        frame, config = self.key_frames[self.tracker.start], self.config
         with torch.no_grad():
-            known = {n: layer for n, layer in self.posed(frame).items() if n in self.beginnings.known}
+            pretrained = {n: layer for n, layer in self.posed(frame).items() if n in self.pretrained.decoders}
         warm_up(
             self.models,
             self.views,
@@ -156,13 +160,14 @@ class Trainer:
             config.track.warm_up,
             config.views_per_step,
             config.seed,
-            known,
+            pretrained,
+            checkpoint,
         )
 
     def finish(self) -> None:
-        """What can only be known when training is over."""
+        """Fit what needs a finished training."""
         for name, model in self.models.items():
-            if name not in self.beginnings.frozen:
+            if name not in self.pretrained.frozen:
                 model.fit_mean(*self._local_poses(self.frames))
 
     def step(self, number: int, elapsed: float, update: bool = True) -> StepReport:
@@ -173,7 +178,9 @@ class Trainer:
         done = schedule.progress(self.config, number, elapsed)
         weights = schedule.stage_weights(self.config, done)
         choice = self._choice(number)
-        self.views.ahead.expect([*self._seen(number, elapsed), *self._seen(number + 1, elapsed)])
+        self.views.prefetcher.schedule(
+            [*self._view_keys(number, elapsed), *self._view_keys(number + 1, elapsed)]
+        )
         clock = _Clock()
         coarse = schedule.is_coarse(self.config, done)
         self.optimizer.zero_grad(set_to_none=True)
@@ -202,9 +209,9 @@ class Trainer:
         posed = {}
         for name, model in self.models.items():
             cosine = cosines[name] if cosines else None
-            motion = own_motion(model, self.views.poses, frame, pose)
+            motion = motion_for(model, self.views.poses, frame, pose)
             residual = model.residual(pose.local_transforms, cosine, motion)
-            if offsets_only and name not in self.beginnings.known:
+            if offsets_only and name not in self.pretrained.decoders:
                 residual = residual * _OFFSETS.to(residual)
             posed[name] = pose_layer(model.maps, model.attributes(residual), pose.transforms, pose.betas)
         return posed
@@ -228,13 +235,13 @@ class Trainer:
             shares: list[Tensor] = []
             for camera, background in group:
                 with clock("data"):
-                    window = self._window(choice, camera)
-                    view = self.views.view(choice.frame, camera, scale, window).to(self.device)
+                    crop = self._random_crop(choice, camera)
+                    view = self.views.view(choice.frame, camera, scale, crop).to(self.device)
                 with clock("splat"):
                     behind = torch.from_numpy(background).to(self.device)
-                    lens = self._lens(choice.frame, view.camera)
+                    crops = self._perceptual_crops(choice.frame, view.camera)
                     try:
-                        terms = picture_terms(detached, view, behind, weights, self.config.label_kind, lens)
+                        terms = picture_terms(detached, view, behind, weights, self.config.label_kind, crops)
                         _sum(terms, weights, 1.0 / len(choice.cameras), sums).backward()
                     except BadData:  # the splatter refuses Gaussians that are not finite
                         sums["total"] = math.nan
@@ -265,34 +272,34 @@ class Trainer:
                 torch.autograd.backward([output for output, _ in pairs], [gradient for _, gradient in pairs])
         return sums
 
-    def _window(self, choice: StepChoice, camera: str) -> Window | None:
+    def _random_crop(self, choice: StepChoice, camera: str) -> RandomCrop | None:
         """The part of a view that a step sees; None for all of it."""
         if not self.config.patch:
             return None
-        return Window(self.config.patch, (self.config.seed, 5, choice.step, choice.cameras.index(camera)))
+        return RandomCrop(self.config.patch, (self.config.seed, 5, choice.step, choice.cameras.index(camera)))
 
     def _choice(self, number: int) -> StepChoice:
         return choose(self.config.seed, number, self.frames, self.cameras, self.config.views_per_step)
 
-    def _seen(self, number: int, elapsed: float) -> list[ViewKey]:
-        """The views that this process looks at in a step, `elapsed` s into the run."""
+    def _view_keys(self, number: int, elapsed: float) -> list[ViewKey]:
+        """The views that this process needs in a step, `elapsed` s into the run."""
         choice = self._choice(number)
         scale = schedule.image_scale(self.config, schedule.progress(self.config, number, elapsed))
         cameras = self.processes.share(choice.cameras)
-        return [(choice.frame, camera, scale, self._window(choice, camera)) for camera in cameras]
+        return [(choice.frame, camera, scale, self._random_crop(choice, camera)) for camera in cameras]
 
-    def _lens(self, frame: int, camera: Camera) -> Lens | None:
-        """How the perceptual terms look at a view; None without the metric."""
+    def _perceptual_crops(self, frame: int, camera: Camera) -> PerceptualCrops | None:
+        """The crops that the perceptual terms compare in a view; None without the metric."""
         if self.perceptual is None:
             return None
         face = face_box(camera, face_centre(self.views.body, self.views.poses, frame))
-        return Lens(self.perceptual, self.config.perceptual_side, face)
+        return PerceptualCrops(self.perceptual, self.config.perceptual_side, face)
 
     def _cosines(self, choice: StepChoice, camera: str) -> dict[str, Tensor] | None:
         """Slightly disturbed viewing cosines of every layer, when the models want them."""
         if self.one_pass:
             return None
-        pose, place = self.pose(choice.frame), self.views.footage.camera(camera, choice.frame).centre
+        pose, place = self.pose(choice.frame), self.views.sequence.camera(camera, choice.frame).centre
         noise = np.random.default_rng([self.config.seed, 3, choice.step]).normal(0.0, _EYE_NOISE, 3)
         eye = torch.from_numpy(place + noise).float().to(self.device)
         return {

@@ -35,8 +35,8 @@ from stages.shared.splat.cpu import warm_up
 from stages.shared.targets import check_folder_target
 from stages.train import stage as train
 from stages.train.config import PRESETS
+from stages.train.monitor import IntervalCallback
 from stages.train.resolve import resolve_settings
-from stages.train.watch import Watch
 from stages.workflows.paper.trainings import training_like
 
 FILES = ("curves.jsonl", "curves.png", "pictures.png")
@@ -105,7 +105,7 @@ def _train(
             shown = {split: means["psnr_foreground"] for split, means in scores.items()}
             report.say(f"{name} after {minute:.3g} minutes: {shown}")
 
-        result = train.run(subject, run, report, watch=Watch(grid, look))
+        result = train.run(subject, run, report, watch=IntervalCallback(grid, look))
         if not any(point["minutes"] == round(run.minutes, 4) for point in curves.of(name)):
             look(outfit_of(subject, result.artifact), run.minutes, int(result.artifact.summary["steps"]))
     train.run(subject, next(iter(runs.values())), report)  # in use afterwards: the first one

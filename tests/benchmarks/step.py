@@ -28,10 +28,10 @@ from stages.shared.splat.api import rasterize
 from stages.shared.splat.gaussians import Gaussians
 from stages.shared.splat.kernels.threads import time_kernels
 from stages.train.config import TrainConfig
-from stages.train.data import choose
 from stages.train.objective import render
 from stages.train.stage import prepare
 from stages.train.trainer import Trainer
+from stages.train.views import choose
 from tests.benchmarks.command import application
 
 _SHARE_OF_RUN = 0.9
@@ -79,7 +79,7 @@ def measure(trainer: Trainer, steps: int, report: Report, update: bool = True) -
     report.step("steps")
     rows: list[dict[str, float]] = []
     kernels: list[dict[str, float]] = []
-    with trainer.views.ahead.reading():
+    with trainer.views.prefetcher.running():
         trainer.step(first, elapsed, update)
         for number in range(first + 1, first + 1 + steps):
             started = time.perf_counter()

@@ -13,12 +13,15 @@ import torch
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.capture import Camera
 from stages.shared.errors import BadData
-from stages.train.cells import Cells
-from stages.train.collision import outwards
 from stages.train.config import TrackConfig
-from stages.train.displacement import Equations, Motion, motion
-from stages.train.solve import conjugate_gradients, fitted_cells
-from stages.train.tracking import Tracker
+from stages.train.tracking.control_grid import ControlGrid, conjugate_gradient, fit_control_points
+from stages.train.tracking.normal_equations import (
+    Flow,
+    NormalEquations,
+    collision_equations,
+    estimate_flow,
+)
+from stages.train.tracking.tracker import Tracker
 from tests.shared.avatar.tubes import CENTRE, GRID, PITCH, tube_arrays
 
 PER_METRE = 220.0
@@ -36,13 +39,13 @@ def tube(kept: int | None = None) -> LayerMaps:
     return LayerMaps.from_arrays("upper", arrays, PITCH, CENTRE, GRID)
 
 
-def cells(maps: LayerMaps, size: tuple[int, int] = (4, 5)) -> Cells:
+def cells(maps: LayerMaps, size: tuple[int, int] = (4, 5)) -> ControlGrid:
     points = torch.from_numpy(np.random.default_rng(0).uniform(-1, 1, (len(maps), 2)))
-    return Cells.of(maps, points, size)
+    return ControlGrid.of(maps, points, size)
 
 
 def solved(
-    equations: Equations, followed: Cells, found: np.ndarray | None = None, **weights: float
+    equations: NormalEquations, followed: ControlGrid, found: np.ndarray | None = None, **weights: float
 ) -> np.ndarray:
     """One Gauss-Newton step from `found` cells (zero without), which is also where they rest."""
     start = np.zeros((len(followed.where), 3)) if found is None else found
@@ -56,7 +59,7 @@ def test_a_system_of_any_size_is_solved(magnitude: float, stiffness: float) -> N
     random = np.random.default_rng(0)
     root = random.normal(size=(12, 12))
     matrix, right = root @ root.T + np.eye(12), random.normal(size=(12, 3))
-    found = conjugate_gradients(lambda x: stiffness * (matrix @ x), magnitude * right, 200)
+    found = conjugate_gradient(lambda x: stiffness * (matrix @ x), magnitude * right, 200)
     expected = np.linalg.solve(matrix, right) * (magnitude / stiffness)
     np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())
 
@@ -64,12 +67,12 @@ def test_a_system_of_any_size_is_solved(magnitude: float, stiffness: float) -> N
 def test_a_system_that_says_nothing_moves_nothing() -> None:
     """No equation, or no right side; and of a system that knows one direction of two, that one is solved."""
     ones = np.ones((4, 3))
-    assert not conjugate_gradients(lambda x: 0.0 * x, ones, 60).any()
-    assert not conjugate_gradients(lambda x: 2.0 * x, 0.0 * ones, 60).any()
+    assert not conjugate_gradient(lambda x: 0.0 * x, ones, 60).any()
+    assert not conjugate_gradient(lambda x: 2.0 * x, 0.0 * ones, 60).any()
     known = np.array([[1.0], [1.0], [0.0], [0.0]])
-    found = conjugate_gradients(lambda x: known * x, known * ones, 60)
+    found = conjugate_gradient(lambda x: known * x, known * ones, 60)
     np.testing.assert_allclose(found, known * ones, atol=1e-12)
-    assert conjugate_gradients(lambda x: x, np.zeros((0, 3)), 60).shape == (0, 3)
+    assert conjugate_gradient(lambda x: x, np.zeros((0, 3)), 60).shape == (0, 3)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
@@ -77,13 +80,13 @@ def test_a_right_side_that_is_no_number_is_refused(value: float) -> None:
     right = np.ones((5, 3))
     right[3, 1] = value
     with pytest.raises(BadData, match=r"right\[3\]\[1\]"):
-        conjugate_gradients(lambda x: x, right, 60)
+        conjugate_gradient(lambda x: x, right, 60)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_a_matrix_that_is_no_number_is_refused(value: float) -> None:
-    with pytest.raises(BadData, match="conjugate_gradients"):
-        conjugate_gradients(lambda x: value * x, np.ones((5, 3)), 60)
+    with pytest.raises(BadData, match="conjugate_gradient"):
+        conjugate_gradient(lambda x: value * x, np.ones((5, 3)), 60)
 
 
 @pytest.mark.parametrize("texels", [0, 1, 2, None])
@@ -98,8 +101,8 @@ def test_layers_of_hardly_any_texel_have_cells(texels: int | None, size: tuple[i
     for form in (followed.bending, followed.stretch):
         assert form.shape == (count, count) and np.abs(form @ np.ones((count, 3))).max(initial=0) < 1e-9
     shift = np.tile([[0.01, -0.02, 0.03]], (len(maps), 1))
-    np.testing.assert_allclose(fitted_cells(followed, shift), shift[:1].repeat(count, 0), atol=1e-5)
-    step = solved(Equations.none(len(maps)), followed)
+    np.testing.assert_allclose(fit_control_points(followed, shift), shift[:1].repeat(count, 0), atol=1e-5)
+    step = solved(NormalEquations.zero(len(maps)), followed)
     assert step.shape == (count, 3) and not step.any()
 
 
@@ -108,7 +111,7 @@ def test_where_nothing_is_seen_cloth_keeps_together(weights: dict[str, float]) -
     """A layer out of sight that was carried off as one stays; nothing is made of no equation at all."""
     followed = cells(tube())
     carried = np.tile([[0.05, 0.0, -0.05]], (len(followed.where), 1))
-    step = solved(Equations.none(followed.basis.shape[0]), followed, carried, **weights)
+    step = solved(NormalEquations.zero(followed.basis.shape[0]), followed, carried, **weights)
     assert np.abs(step).max() < 1e-5
 
 
@@ -116,7 +119,7 @@ def test_where_nothing_is_seen_cloth_keeps_together(weights: dict[str, float]) -
 @pytest.mark.parametrize("trusted", [1.0, 1e-12])
 def test_flow_of_any_size_gives_a_finite_step(pixels: float, trusted: float) -> None:
     maps = tube()
-    equations = Equations.none(len(maps))
+    equations = NormalEquations.zero(len(maps))
     random = np.random.default_rng(0)
     equations.matrix[:] = trusted * np.eye(3)
     equations.right[:] = trusted * pixels * random.normal(size=(len(maps), 3))
@@ -131,11 +134,11 @@ def test_texels_anywhere_before_or_behind_a_camera(metres: float, side: float) -
     """On the camera, behind it, far away: equations are finite, and those that nobody sees stay zero."""
     random = np.random.default_rng(0)
     means = side * metres * (np.array([0.0, 0.0, 1.0]) + 0.1 * random.normal(size=(30, 3)))
-    equations = Equations.none(30)
+    equations = NormalEquations.zero(30)
     depth = np.full((SIDE, SIDE), metres)
     whole = np.ones((SIDE, SIDE), bool)
     flow = np.ones((SIDE * SIDE, 2))
-    seen = Motion(flow, np.ones(SIDE * SIDE), np.tile([[0.5, 0.1, 0.5]], (SIDE * SIDE, 1)))
+    seen = Flow(flow, np.ones(SIDE * SIDE), np.tile([[0.5, 0.1, 0.5]], (SIDE * SIDE, 1)))
     with np.errstate(over="ignore"):
         carried = np.tile(np.eye(3), (30, 1, 1))
         equations.add(means, carried, CAMERA, depth, whole, whole, seen, PER_METRE)
@@ -149,9 +152,9 @@ def test_texels_anywhere_before_or_behind_a_camera(metres: float, side: float) -
 @pytest.mark.parametrize("flow", [np.nan, np.inf, 1e300, -1e300])
 def test_flow_out_of_the_picture_counts_for_nothing(flow: float) -> None:
     """Also where the optical flow itself is no number: then it leads nowhere."""
-    equations = Equations.none(1)
+    equations = NormalEquations.zero(1)
     whole = np.ones((SIDE, SIDE), bool)
-    seen = Motion(
+    seen = Flow(
         np.full((SIDE * SIDE, 2), flow), np.ones(SIDE * SIDE), np.tile([[0.5, 0.0, 0.5]], (SIDE * SIDE, 1))
     )
     means = np.array([[0.0, 0.0, 1.0]])
@@ -172,13 +175,13 @@ def test_pictures_with_little_in_them(kind: str) -> None:
     elif kind == "an edge":
         picture[:, SIDE // 2 :] = 255
     for other in (picture, np.roll(picture, 3, axis=1), np.zeros_like(picture), 255 - picture):
-        found = motion(picture, other, True)
+        found = estimate_flow(picture, other, True)
         assert found is not None
-        for values in (found.flow, found.trust, found.tensor):
+        for values in (found.vectors, found.trust, found.tensor):
             assert np.isfinite(values).all()
         assert found.trust.min() >= 0 and found.trust.max() <= 1
         assert (found.tensor[:, 0] + found.tensor[:, 2]).max() <= 1 + 1e-6
-    assert motion(picture[:31], picture[:31], True) is None
+    assert estimate_flow(picture[:31], picture[:31], True) is None
 
 
 @pytest.mark.parametrize("count", [0, 1, 3, 4, 50])
@@ -196,7 +199,7 @@ def test_bodies_of_any_kind_beneath_cloth(count: int, kind: str) -> None:
         places += 1e6
     body: Any = SimpleNamespace(means=torch.from_numpy(places), normals=torch.from_numpy(normals))
     means = torch.from_numpy(0.01 * random.normal(size=(20, 3)))
-    matrix, right = outwards(means, body, np.tile(np.eye(3), (20, 1, 1)), PER_METRE)
+    matrix, right = collision_equations(means, body, np.tile(np.eye(3), (20, 1, 1)), PER_METRE)
     assert np.isfinite(matrix).all() and np.isfinite(right).all()
     assert np.abs(right).max() <= (0.05 + 0.004) * PER_METRE
     led = right.any(axis=1)

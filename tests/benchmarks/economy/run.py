@@ -38,10 +38,10 @@ from stages.shared.outfit.trained_subject import TrainedSubject
 from stages.shared.outfit.visibility_culling import find_hidden_texels
 from stages.shared.report import SILENT, Report
 from stages.train.config import TrainConfig
-from stages.train.data import View
 from stages.train.objective import render
 from stages.train.stage import prepare
 from stages.train.trainer import Trainer
+from stages.train.views import View
 from tests.benchmarks.economy.table import compared, markdown, summed_up
 from tests.benchmarks.process import run_module
 from tests.benchmarks.step import TimingConfig, measure

@@ -32,8 +32,8 @@ shows why none of this runs in it.
 An entry of 1 is one of three things: a number too small for its type became 0 (squares of 1e-30 in float32);
 what is 0 in truth is rounding here (round Gaussians have no orientation to differentiate by); or the problem
 has no answer at that size (an angle of 1e20 rad, where neighbouring numbers are turns apart; joints that turn
-by half a turn a frame, either way). What follows the garments in training (`stages/train/solve`,
-`displacement`, `collision`) is tried by `tests/extremes` as well, on systems from 1e-200 to 1e200, layers of
+by half a turn a frame, either way). What follows the garments in training (`stages/train/tracking`) is
+tried by `tests/extremes` as well, on systems from 1e-200 to 1e200, layers of
 one texel, pictures of nothing and cameras anywhere.
 
 ### At a glance

@@ -24,7 +24,7 @@ from stages.shared.outfit.layer import layer_of_training
 from stages.shared.outfit.outfit import outfit_of_bundles
 from stages.shared.outfit.sources import read_bundles
 from stages.shared.outfit.trained_subject import TrainedSubject
-from stages.train import cost, stage
+from stages.train import stage
 from stages.train.config import PRESETS, LearningRates, TrackConfig, TrainConfig
 from stages.train.resolve import resolve_settings
 from tests.stages.train.scene import make_subject, poses, tiny
@@ -85,7 +85,8 @@ def test_their_rates_are_those_of_what_they_move(subject: Path) -> None:
     assert rates["basis_color"] * np.sqrt(2) == pytest.approx(rates["color"])
     assert rates["basis_form"] == pytest.approx(min(rates["quaternion"], rates["opacity"], rates["scale"]))
     counted = sum(parameter.numel() for parameter in trainer.parameters.values())
-    assert cost.parameters({name: m.maps for name, m in trainer.models.items()}, trainer.config) == counted
+    costs = [m.cost(m.maps, trainer.config.model) for m in trainer.models.values()]
+    assert sum(cost.parameters for cost in costs) == counted
 
 
 def test_what_networks_have_is_left_out() -> None:

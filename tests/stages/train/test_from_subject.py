@@ -29,9 +29,9 @@ from stages.shared.errors import MissingInput, UsageProblem
 from stages.shared.outfit.outfit import Outfit, outfit_of_bundles
 from stages.shared.outfit.trained_subject import TrainedSubject
 from stages.train import stage
-from stages.train.begin import Beginnings
 from stages.train.config import LossWeights, TrackConfig
 from stages.train.objective import render
+from stages.train.pretrained import PretrainedLayers
 from stages.train.trainer import StepReport, Trainer
 from tests.listening import Listener
 from tests.shared.avatar.tubes import tube_arrays
@@ -132,7 +132,7 @@ def test_layers_begin_as_they_were_and_the_body_has_neither_gradient_nor_moments
 def test_one_layer_alone_can_be_taken(inner: Path, subject: Path) -> None:
     trainer = stage.prepare(subject, tiny(from_layers=("body",)), from_subject=inner)
     ours = Workspace(subject).require(BAKE_MAPS)
-    assert set(trainer.beginnings.known) == {"body"}
+    assert set(trainer.pretrained.decoders) == {"body"}
     assert len(trainer.models["upper"].maps) == len(ours.arrays("upper")["texels"])
 
 
@@ -140,18 +140,16 @@ def test_tracking_goes_on_from_what_is_known(inner: Path, subject: Path) -> None
     config = tiny(track=TrackConfig(frame_step=1, cell=8, warm_up=2, rounds=1))
     trainer = stage.prepare(subject, config, from_subject=inner)
     assert trainer.tracker is not None
-    assert isinstance(trainer.tracker.begun, Beginnings)
-    assert (
-        set(trainer.tracker.beginning) == {"upper"} and np.abs(trainer.tracker.beginning["upper"]).max() > 0
-    )
+    assert isinstance(trainer.tracker.pretrained, PretrainedLayers)
+    assert set(trainer.tracker.initial) == {"upper"} and np.abs(trainer.tracker.initial["upper"]).max() > 0
     kept = {name: trainer.models[name].base_color.detach().clone() for name in trainer.models}
     trainer.warm_up()
     assert torch.equal(trainer.models["upper"].base_color, kept["upper"]), "what is known is not warmed up"
     assert not torch.equal(trainer.models["outer"].base_color, kept["outer"])
     trainer.tracker.follow(0)
     start = trainer.tracker.start
-    found = trainer.tracker.tracked["upper"].found[start]
-    assert np.abs(found.numpy() - trainer.tracker.beginning["upper"]).max() < 0.02
+    found = trainer.tracker.tracked["upper"].control_points[start]
+    assert np.abs(found.numpy() - trainer.tracker.initial["upper"]).max() < 0.02
     assert torch.equal(trainer.models["body"].base_color, kept["body"])
 
 

@@ -12,9 +12,9 @@ from stages.shared.body import embedded_body
 from stages.shared.capture import Camera, open_capture
 from stages.train import schedule
 from stages.train.config import PRESETS, LossWeights, TrainConfig
-from stages.train.data import TrainingViews, choose
-from stages.train.footage import Footage
-from stages.train.outline import mesh_outline
+from stages.train.silhouette import rasterize_silhouette
+from stages.train.take_sequence import TakeSequence
+from stages.train.views import TrainingViews, choose
 from tests.stages.train.scene import make_subject, poses, tiny
 
 
@@ -65,7 +65,7 @@ def test_paper_preset_holds_the_published_values() -> None:
 def test_crops_agree_with_the_whole_picture(tmp_path: Path) -> None:
     make_subject(tmp_path)
     take = open_capture(tmp_path / "capture").training_takes[0]
-    views = TrainingViews(Footage((take,)), poses(), embedded_body(), ["body", "upper"])
+    views = TrainingViews(TakeSequence((take,)), poses(), embedded_body(), ["body", "upper"])
     assert views.frames(2) == [0, 2]
     view = views.view(1, "cam1")
     left, top, right, bottom = take.subject_box("cam1", 1, margin=8)
@@ -84,13 +84,15 @@ def test_crops_agree_with_the_whole_picture(tmp_path: Path) -> None:
     assert not view.labels.numpy()[~mask].any()
     assert known.sum() > 0.5 * known.size and not known[~(view.valid.numpy() > 0)].any()
     small = views.view(1, "cam1", 0.5)
-    assert small.image.shape[:2] == (small.camera.height, small.camera.width) == small.outline.shape
+    assert small.image.shape[:2] == (small.camera.height, small.camera.width) == small.silhouette.shape
 
 
 def test_cache_stays_within_its_bound(tmp_path: Path) -> None:
     make_subject(tmp_path)
     take = open_capture(tmp_path / "capture").training_takes[0]
-    views = TrainingViews(Footage((take,)), poses(), embedded_body(), ["body", "upper"], cache_bytes=20_000)
+    views = TrainingViews(
+        TakeSequence((take,)), poses(), embedded_body(), ["body", "upper"], cache_bytes=20_000
+    )
     first = views.view(0, "cam0").image.clone()
     for frame in range(4):
         for camera in ("cam0", "cam1"):
@@ -105,7 +107,7 @@ def test_outline_of_a_square_is_exact() -> None:
         [[-0.5, -0.3, 1], [0.5, -0.3, 1], [0.5, 0.3, 1], [-0.5, 0.3, 1], [0, 0, -1]], np.float32
     )
     faces = np.array([[0, 1, 2], [0, 2, 3], [0, 1, 4]], np.int32)
-    covered = mesh_outline(vertices, faces, camera)
+    covered = rasterize_silhouette(vertices, faces, camera)
     expected = np.zeros((16, 20), bool)
     expected[5:11, 5:15] = True
     assert np.array_equal(covered, expected)

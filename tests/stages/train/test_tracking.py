@@ -7,6 +7,8 @@ import shutil
 import signal
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -18,13 +20,12 @@ from stages.shared.avatar.decoders.styleunet import StyleUNetDecoder
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.capture import Camera
 from stages.train import schedule, stage
-from stages.train.cells import Cells
 from stages.train.config import TrackConfig
-from stages.train.cost import affordable_tracking
-from stages.train.displacement import Equations, motion
-from stages.train.footage import Footage
-from stages.train.solve import conjugate_gradients
-from stages.train.tracking import Tracker
+from stages.train.resolve import affordable_tracking
+from stages.train.take_sequence import TakeSequence
+from stages.train.tracking.control_grid import ControlGrid, conjugate_gradient
+from stages.train.tracking.normal_equations import NormalEquations, estimate_flow
+from stages.train.tracking.tracker import Checkpoint, Tracker
 from tests.shared.avatar.tubes import CENTRE, GRID, PITCH, tube_arrays
 from tests.stages.train.scene import TINY, make_subject, tiny
 
@@ -36,10 +37,10 @@ def _model() -> StyleUNetDecoder:
     return StyleUNetDecoder(maps, TINY.model)
 
 
-def _cells(model: StyleUNetDecoder) -> Cells:
+def _cells(model: StyleUNetDecoder) -> ControlGrid:
     assert model.anchors is not None
     height, width = model.anchors.offsets.shape[2:]
-    return Cells.of(model.maps, model.sample_points, (height, width))
+    return ControlGrid.of(model.maps, model.sample_points, (height, width))
 
 
 def test_cells_say_of_texels_what_sampling_the_anchor_says() -> None:
@@ -68,9 +69,9 @@ def test_conjugate_gradients_solve_what_a_dense_solver_solves() -> None:
     generator = np.random.default_rng(0)
     root = generator.normal(size=(12, 12))
     matrix, right = root @ root.T + np.eye(12), generator.normal(size=(12, 3))
-    found = conjugate_gradients(lambda x: matrix @ x, right, 60)
+    found = conjugate_gradient(lambda x: matrix @ x, right, 60)
     assert np.allclose(found, np.linalg.solve(matrix, right), atol=1e-4)
-    assert not conjugate_gradients(lambda x: matrix @ x, np.zeros((12, 3)), 5).any()
+    assert not conjugate_gradient(lambda x: matrix @ x, np.zeros((12, 3)), 5).any()
 
 
 def _texture() -> np.ndarray:
@@ -80,11 +81,11 @@ def _texture() -> np.ndarray:
 
 
 def test_equations_find_a_known_shift_from_two_cameras() -> None:
-    """Points on a plane, seen head-on and from a side, displaced in 3D; the pictures are shifted to match."""
+    """Points on a plane, flow head-on and from a side, displaced in 3D; the pictures are shifted to match."""
     truth = np.array([0.012, -0.008, 0.0])
     column, row = np.meshgrid(np.linspace(-0.1, 0.1, 21), np.linspace(-0.1, 0.1, 21))
     means = np.stack((column.ravel(), row.ravel(), np.zeros(column.size)), axis=1)
-    equations = Equations.none(len(means))
+    equations = NormalEquations.zero(len(means))
     intrinsics = np.array([[400.0, 0, 48], [0, 400, 48], [0, 0, 1]])
     source = _texture()
     for angle in (0.0, 0.5):
@@ -95,24 +96,24 @@ def test_equations_find_a_known_shift_from_two_cameras() -> None:
         before, depth = camera.project(means)
         shift = (camera.project(means + truth)[0] - before).mean(axis=0)
         target = cv2.warpAffine(source, np.array([[1, 0, shift[0]], [0, 1, shift[1]]]), (96, 96))
-        seen = motion(source, target, fine=True)
-        assert seen is not None
+        flow = estimate_flow(source, target, fine=True)
+        assert flow is not None
         everywhere = np.ones((96, 96), bool)
         per_pixel = np.zeros((96, 96))
         for (x, y), z in zip(before.astype(int), depth, strict=True):
             per_pixel[y, x] = z
-        carried = np.tile(np.eye(3), (len(means), 1, 1))
-        equations.add(means, carried, camera, per_pixel, everywhere, everywhere, seen, 1.0)
+        jacobian = np.tile(np.eye(3), (len(means), 1, 1))
+        equations.add(means, jacobian, camera, per_pixel, everywhere, everywhere, flow, 1.0)
     found = np.linalg.solve(equations.matrix.sum(axis=0), equations.right.sum(axis=0))
     assert np.allclose(found, truth, atol=0.002)
 
 
 def test_stripes_say_nothing_along_themselves() -> None:
     rows = (127 + 100 * np.sin(np.arange(96) / 3.0)).astype(np.uint8)
-    seen = motion(np.tile(rows[:, None], (1, 96)), np.tile(rows[:, None], (1, 96)), fine=False)
-    assert seen is not None
-    assert seen.tensor[:, 0].max() < 1e-3 < 0.5 < np.median(seen.tensor[:, 2])
-    assert motion(np.zeros((20, 20), np.uint8), np.zeros((20, 20), np.uint8), fine=False) is None
+    flow = estimate_flow(np.tile(rows[:, None], (1, 96)), np.tile(rows[:, None], (1, 96)), fine=False)
+    assert flow is not None
+    assert flow.tensor[:, 0].max() < 1e-3 < 0.5 < np.median(flow.tensor[:, 2])
+    assert estimate_flow(np.zeros((20, 20), np.uint8), np.zeros((20, 20), np.uint8), fine=False) is None
 
 
 def test_tracked_run_resumes_to_the_bit_wherever_it_stops(
@@ -123,10 +124,15 @@ def test_tracked_run_resumes_to_the_bit_wherever_it_stops(
     straight = stage.run(subject, tiny(steps=4, track=_TRACK))
     follow = Tracker.follow
 
-    def interrupted(self: Tracker, place: int) -> None:
-        if place == 1:
-            os.kill(os.getpid(), signal.SIGINT)
-        follow(self, place)
+    def interrupted(self: Tracker, place: int, checkpoint: Checkpoint) -> None:
+        pictures = iter(range(100))
+
+        def count() -> None:
+            if place == 1 and next(pictures) == 2:
+                os.kill(os.getpid(), signal.SIGINT)
+            checkpoint()
+
+        follow(self, place, count)
 
     monkeypatch.setattr(Tracker, "follow", interrupted)
     with pytest.raises(KeyboardInterrupt):
@@ -147,7 +153,7 @@ def test_without_segmentation_no_label_image_is_learned_from(
 
     The body's silhouette has hair and shoes from the labels, so it is left out of both.
     """
-    subject, labels = make_subject(tmp_path), Footage.labels
+    subject, labels = make_subject(tmp_path), TakeSequence.labels
 
     def learned(parts: tuple[str, ...]) -> dict[str, np.ndarray]:
         config = tiny(steps=2, track=_TRACK, without=parts)
@@ -155,12 +161,12 @@ def test_without_segmentation_no_label_image_is_learned_from(
 
     before = {parts: learned(parts) for parts in (("bs",), ("bs", "sg"))}
 
-    def exchanged(self: Footage, camera: str, frame: int) -> np.ndarray:
+    def exchanged(self: TakeSequence, camera: str, frame: int) -> np.ndarray:
         found = labels(self, camera, frame)
         assert found is not None
         return np.where(found == 0, 3, np.where(found == 3, 0, found)).astype(np.uint8)
 
-    monkeypatch.setattr(Footage, "labels", exchanged)
+    monkeypatch.setattr(TakeSequence, "labels", exchanged)
     for parts, arrays in before.items():
         after = learned(parts)
         same = all(np.array_equal(values, after[name]) for name, values in arrays.items())
@@ -177,8 +183,9 @@ def test_tracking_replaces_small_pictures_and_flow() -> None:
 def test_short_runs_follow_fewer_frames() -> None:
     """200 frames in 8 cameras are 240 s: a third of 12 minutes and more, but not of 3."""
     config = tiny(frame_step=5, track=_TRACK)
+    takes: Any = SimpleNamespace(frames=range(200), training_cameras=range(8))
     steps = {
-        minutes: affordable_tracking(replace(config, minutes=minutes), 200, 8).track.frame_step
+        minutes: affordable_tracking(replace(config, minutes=minutes), takes).track.frame_step
         for minutes in (0.0, 30.0, 3.0, 1.0, 0.01)
     }
     assert steps[0.0] == steps[30.0] == 1 and steps[3.0] == 5 and steps[1.0] == 15 and steps[0.01] == 0

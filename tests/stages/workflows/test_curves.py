@@ -24,7 +24,7 @@ from stages.pipeline import TRAIN
 from stages.shared.artifacts import Workspace
 from stages.shared.outfit.outfit import Outfit
 from stages.train import stage
-from stages.train.watch import Watch
+from stages.train.monitor import IntervalCallback
 from stages.workflows.paper.trainings import method_of, trainings
 from tests.stages.train.scene import make_subject, tiny
 
@@ -40,7 +40,9 @@ def test_looking_changes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
     clock = iter(range(10_000))
     monkeypatch.setattr("stages.train.loop.time.monotonic", lambda: float(next(clock)))
-    watched = stage.run(make_subject(tmp_path / "a"), tiny(steps=6), watch=Watch((0.02, 0.05, 9), look))
+    watched = stage.run(
+        make_subject(tmp_path / "a"), tiny(steps=6), watch=IntervalCallback((0.02, 0.05, 9), look)
+    )
     monkeypatch.undo()
     plain = stage.run(make_subject(tmp_path / "b"), tiny(steps=6))
     assert [minute for minute, _, _ in seen] == [0.02, 0.05]

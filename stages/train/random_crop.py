@@ -1,8 +1,8 @@
-"""Windows of large pictures: the part of a view that a step sees at full resolution.
+"""Random crops of large pictures: the part of a view that a step sees at full resolution.
 
-Where a window lies is drawn: half of the probability goes by how much of the person it shows, half by how
-much of the outlines of person and layers. Windows of nothing but background are hardly ever drawn, and the
-places where garments end are seen more often than plain cloth.
+Half of the probability of a crop follows how much of the person it shows. The other half follows how much of
+the boundaries of person and layers it shows. Crops of background alone are rare, and garment edges are seen
+more often than plain cloth.
 """
 
 from __future__ import annotations
@@ -16,26 +16,26 @@ from numpy.typing import NDArray
 from stages.shared.capture.camera import Box
 
 SMALLEST = 32  # px; SSIM's window and optical flow need some room
-_STEPS = 8  # places per side of a window that are told apart
+_STEPS = 8  # positions per side of a crop
 
 
 @dataclass(frozen=True)
-class Window:
-    """A square window to be drawn: `side` px, and `key`, what the draw is a function of."""
+class RandomCrop:
+    """A square crop: `side` px, and the `key` that seeds its position."""
 
     side: int
     key: tuple[int, ...]
 
     def box(self, layer: NDArray[np.uint8], background: int) -> Box:
-        """Where the window lies on a view: left, top, right, bottom; the whole view where that is smaller.
+        """The crop of a view: left, top, right, bottom. It is the whole view where that is smaller.
 
         Arguments:
             layer: (H, W) ids of layers, `background` where there is none.
         """
         height, width = layer.shape
-        rows, columns = _places(height, self.side), _places(width, self.side)
+        rows, columns = _positions(height, self.side), _positions(width, self.side)
         inside = (layer != background).astype(np.uint8)
-        shares = [_window_sums(part, rows, columns, self.side) for part in (inside, outlines(layer))]
+        shares = [_crop_sums(part, rows, columns, self.side) for part in (inside, boundaries(layer))]
         weights = sum(share / total for share in shares if (total := share.sum()) > 0)
         chances = np.asarray(weights, dtype=np.float64).reshape(-1)
         if not chances.any():
@@ -46,24 +46,24 @@ class Window:
         return left, top, min(left + self.side, width), min(top + self.side, height)
 
 
-def outlines(layer: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def boundaries(layer: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """(H, W) 1 where a pixel and the one to the right or below belong to different layers."""
-    found = np.zeros(layer.shape, np.uint8)
-    found[:, :-1] |= layer[:, :-1] != layer[:, 1:]
-    found[:-1] |= layer[:-1] != layer[1:]
-    return found
+    boundary = np.zeros(layer.shape, np.uint8)
+    boundary[:, :-1] |= layer[:, :-1] != layer[:, 1:]
+    boundary[:-1] |= layer[:-1] != layer[1:]
+    return boundary
 
 
-def _places(length: int, side: int) -> NDArray[np.int64]:
-    """Where windows may begin on one axis: every `side`/8 px, and as far as they reach."""
+def _positions(length: int, side: int) -> NDArray[np.int64]:
+    """Where crops may start on one axis: every `side`/8 px, and at the last position that fits."""
     last = max(length - side, 0)
     return np.unique(np.append(np.arange(0, last, max(side // _STEPS, 1)), last))
 
 
-def _window_sums(
+def _crop_sums(
     part: NDArray[np.uint8], rows: NDArray[np.int64], columns: NDArray[np.int64], side: int
 ) -> NDArray[np.float64]:
-    """(R, C) sums of a picture (H, W) over the windows that begin at these rows and columns."""
+    """(R, C) sums of a picture (H, W) over the crops that start at these rows and columns."""
     table = cv2.integral(part, sdepth=cv2.CV_64F)
     low, high = np.minimum(rows + side, part.shape[0]), np.minimum(columns + side, part.shape[1])
     ends, begins = table[np.ix_(low, high)], table[np.ix_(rows, columns)]

@@ -1,4 +1,4 @@
-"""Before all else the texels learn the template's own frame, where the geometry is known to be right."""
+"""Warm-up: the texels learn the appearance of the template's own frame, where the geometry is right."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from stages.shared.avatar.decoders.base import Decoder
 from stages.shared.avatar.deform import PosedGaussians, pose_layer
 from stages.shared.avatar.pose import FramePose
 from stages.train.config import LearningRates, LossWeights
-from stages.train.data import TrainingViews
 from stages.train.gradient_boundary import mask_gradients, observed_of
 from stages.train.objective import picture_terms, weighted
+from stages.train.tracking.tracker import Checkpoint, Interrupted
+from stages.train.views import TrainingViews
 
 _RATES = LearningRates(offset=1e-4, quaternion=1e-2, opacity=5e-2, scale=2e-2, color=5e-2)
 _RATE_END = 0.1
@@ -32,15 +33,22 @@ def warm_up(
     steps: int,
     views_per_step: int,
     seed: int,
-    known: Mapping[str, PosedGaussians],
+    pretrained: Mapping[str, PosedGaussians],
+    checkpoint: Checkpoint = lambda: None,
 ) -> None:
-    """Fit the free attributes of all layers to one frame, without what depends on the pose.
+    """Fit the base attributes of all layers to one frame, without what depends on the pose.
 
-    Discs of projected colours are blurred and a little too large; after some dozen steps with large rates
-    they look like the frame. `weights`: of the picture terms; flow and LPIPS are not used. `known`: layers
-    in that frame that were learned before, and stay as they are.
+    Discs of projected colours are blurred and a little too large. Some dozen steps with large rates make them
+    look like the frame.
+
+    Arguments:
+        weights: of the picture terms; flow and LPIPS are not used. pretrained: layers in that frame that were
+            learned before; they stay as they are. checkpoint: called once per step.
+
+    Raises:
+        Interrupted: by `checkpoint`; the attributes are then as they were.
     """
-    new = {name: model for name, model in models.items() if name not in known}
+    new = {name: model for name, model in models.items() if name not in pretrained}
     free = [(name, p) for model in new.values() for name, p in model.base_parameters().items()]
     if not free or steps <= 0:
         return
@@ -48,9 +56,16 @@ def warm_up(
     optimizer = torch.optim.Adam(groups, lr=1.0, eps=_ADAM_EPSILON)
     weights = LossWeights(**{**vars(weights), "flow": 0.0})
     generator = np.random.default_rng([seed, 4])
-    cameras = list(views.footage.training_cameras)
+    cameras = list(views.sequence.training_cameras)
     observed = observed_of(models.values())
+    initial = [parameter.detach().clone() for _, parameter in free]
     for step in range(steps):
+        try:
+            checkpoint()
+        except Interrupted:
+            for (_, parameter), value in zip(free, initial, strict=True):
+                parameter.data.copy_(value)
+            raise
         factor = _RATE_END + (1 - _RATE_END) * 0.5 * (1 + math.cos(math.pi * step / steps))
         for group in optimizer.param_groups:
             group["lr"] = group["start_rate"] * factor
@@ -65,13 +80,13 @@ def warm_up(
             )
             for name, model in new.items()
         }
-        composite = compose({name: posed[name] if name in posed else known[name] for name in models})
+        composite = compose({name: posed[name] if name in posed else pretrained[name] for name in models})
         mask_gradients(composite, observed)
         losses = []
         for number in chosen:
             view = views.view(frame, cameras[number]).to(composite.means.device)
-            behind = torch.from_numpy(generator.random(3).astype(np.float32)).to(composite.means)
-            terms = picture_terms(composite, view, behind, weights, label_kind)
+            background = torch.from_numpy(generator.random(3).astype(np.float32)).to(composite.means)
+            terms = picture_terms(composite, view, background, weights, label_kind)
             losses.append(weighted(terms, weights))
         torch.stack(losses).mean().backward()
         gradients = [parameter.grad for _, parameter in free if parameter.grad is not None]

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from stages.shared.avatar.deform import PosedGaussians
-from stages.train.collision import outwards
+from stages.train.tracking.normal_equations import collision_equations
 
 
 def _ball(count: int = 4000, radius: float = 0.2) -> PosedGaussians:
@@ -29,7 +29,7 @@ def test_solving_brings_texels_to_the_clearance_above_the_body() -> None:
     points = directions * (0.2 - depth)[:, None]
     turned = np.linalg.qr(generator.normal(size=(3, 3)))[0]
     carried = np.tile(turned, (50, 1, 1))
-    matrix, right = outwards(torch.from_numpy(points).float(), _ball(), carried, 220.0)
+    matrix, right = collision_equations(torch.from_numpy(points).float(), _ball(), carried, 220.0)
     change = (
         np.stack([np.linalg.lstsq(m, r, rcond=None)[0] for m, r in zip(matrix, right, strict=True)]) / 220.0
     )
@@ -41,5 +41,5 @@ def test_solving_brings_texels_to_the_clearance_above_the_body() -> None:
 
 def test_what_is_outside_or_far_inside_is_free() -> None:
     points = torch.tensor([[0.0, 0.21, 0.0], [0.0, 0.5, 0.0], [0.0, 0.1, 0.0]])
-    matrix, right = outwards(points, _ball(), np.tile(np.eye(3), (3, 1, 1)), 220.0)
+    matrix, right = collision_equations(points, _ball(), np.tile(np.eye(3), (3, 1, 1)), 220.0)
     assert not matrix.any() and not right.any()

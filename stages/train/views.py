@@ -1,6 +1,6 @@
 """Training views: which frame and cameras a step sees, and their pictures, cropped to the subject.
 
-The choice is a function of (seed, step) alone, so a resumed run goes on as if it had never stopped.
+The choice is a function of (seed, step) alone, so a resumed run continues as if it had never stopped.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ from stages.shared.capture import Camera
 from stages.shared.capture.take import MASK_THRESHOLD
 from stages.shared.errors import MissingInput
 from stages.shared.layers import BODY, NO_LABEL
-from stages.train.ahead import Ahead
 from stages.train.config import DEFAULT_METHOD
-from stages.train.footage import Footage
 from stages.train.methods.base import Method
 from stages.train.methods.registry import METHODS
-from stages.train.outline import mesh_outline
-from stages.train.window import Window
+from stages.train.prefetch import Prefetcher
+from stages.train.random_crop import RandomCrop
+from stages.train.silhouette import rasterize_silhouette
+from stages.train.take_sequence import TakeSequence
 
 _BACKGROUND, _UNKNOWN = 250, 255
 _MARGIN = 8
-KEPT_BYTES = 1 << 30  # of decoded crops
-KEPT_BYTES_PER_PIXEL = 6  # image 3, mask, layer, outline
-ViewKey = tuple[int, str, float, Window | None]
-"""Frame, camera, scale, window."""
+CACHE_BYTES = 1 << 30  # of decoded crops
+CACHE_BYTES_PER_PIXEL = 6  # image 3, mask, layer, silhouette
+ViewKey = tuple[int, str, float, RandomCrop | None]
+"""Frame, camera, scale, crop."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class View:
         image: (H, W, 3) sRGB 0..1. inside: (H, W) 1 on the subject. valid: (H, W) 0 on the mask's edge, where
             pixels mix subject and background.
         labels: (H, W, L) one-hot layers, all 0 on the background. known: (H, W) 0 where the layer is unknown.
-        outline: (H, W) 1 on the body's own silhouette, garments left out.
+        silhouette: (H, W) 1 on the silhouette of the body without garments.
     """
 
     camera: Camera
@@ -58,11 +58,11 @@ class View:
     valid: Tensor
     labels: Tensor
     known: Tensor
-    outline: Tensor
+    silhouette: Tensor
 
     def to(self, device: torch.device) -> View:
         """The same view with its tensors on `device`."""
-        tensors = (self.image, self.inside, self.valid, self.labels, self.known, self.outline)
+        tensors = (self.image, self.inside, self.valid, self.labels, self.known, self.silhouette)
         return View(self.camera, self.frame, *(tensor.to(device) for tensor in tensors))
 
 
@@ -87,32 +87,32 @@ def choose(seed: int, step: int, frames: Sequence[int], cameras: Sequence[str], 
 
 
 class TrainingViews:
-    """Pictures of takes, decoded once and kept while they fit into memory.
+    """Pictures of takes, decoded once and cached while they fit into memory.
 
     Arguments:
-        footage: the takes. poses: row = frame number. body: model of the poses.
+        sequence: the takes. poses: row = frame number. body: model of the poses.
         layers: names, inner to outer; labels of other layers count as unknown.
         method: says which labels show which layer.
         cache_bytes: most memory for decoded crops.
     """
 
-    crops = True  # cut pictures to the subject; false for measuring what that saves
+    crops = True  # cut pictures to the subject; False only to measure what that saves
 
     def __init__(
         self,
-        footage: Footage,
+        sequence: TakeSequence,
         poses: Poses,
         body: BodyModel,
         layers: Sequence[str],
         method: Method = METHODS[DEFAULT_METHOD],
-        cache_bytes: int = KEPT_BYTES,
+        cache_bytes: int = CACHE_BYTES,
     ) -> None:
-        self.footage, self.poses, self.body, self.layers = footage, poses, body, tuple(layers)
+        self.sequence, self.poses, self.body, self.layers = sequence, poses, body, tuple(layers)
         self.cache_bytes = cache_bytes
         self._cached_bytes = 0
         self._cache_lock = threading.Lock()
         self._posed: dict[int, NDArray[np.float32]] = {}
-        self.ahead: Ahead[ViewKey, View] = Ahead(self._made)
+        self.prefetcher: Prefetcher[ViewKey, View] = Prefetcher(self._make)
         self._crops: OrderedDict[tuple[int, str], _Crop] = OrderedDict()
         self._layer_of_id = np.full(256, _UNKNOWN, dtype=np.uint8)
         self.layer_of_label = method.layer_of_label(self.layers)
@@ -120,46 +120,50 @@ class TrainingViews:
             self._layer_of_id[label] = self.layers.index(layer)
 
     def frames(self, step: int) -> list[int]:
-        """Every `step`-th frame of each take that has images."""
-        if not self.footage.frames:
+        """Every `step`-th frame with images, of each take."""
+        if not self.sequence.frames:
             raise MissingInput(
-                "The training take has no frame with images.", self.footage.name, "Check the capture."
+                "The training take has no frame with images.", self.sequence.name, "Check the capture."
             )
-        return self.footage.every(step)
+        return self.sequence.every(step)
 
-    def view(self, frame: int, camera: str, scale: float = 1.0, window: Window | None = None) -> View:
-        """One view at `scale` times its resolution, or a window of it."""
-        return self.ahead.value((frame, camera, scale, window))
+    def view(
+        self, frame: int, camera: str, scale: float = 1.0, random_crop: RandomCrop | None = None
+    ) -> View:
+        """One view at `scale` times its resolution, or a crop of it."""
+        return self.prefetcher.value((frame, camera, scale, random_crop))
 
-    def _made(self, key: ViewKey) -> View:
-        frame, camera, scale, window = key
+    def _make(self, key: ViewKey) -> View:
+        frame, camera, scale, random_crop = key
         crop = self._crop(frame, camera)
-        seen_by = crop.camera if scale == 1.0 else crop.camera.scaled(scale)
-        size = (seen_by.width, seen_by.height)
+        view_camera = crop.camera if scale == 1.0 else crop.camera.scaled(scale)
+        size = (view_camera.width, view_camera.height)
         image: NDArray[Any] = crop.image
         layer: NDArray[Any] = crop.layer
-        outline: NDArray[Any] = crop.outline.astype(np.float32)
+        silhouette: NDArray[Any] = crop.silhouette.astype(np.float32)
         inside = crop.mask > MASK_THRESHOLD
         if scale != 1.0:
             image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-            outline = cv2.resize(outline, size, interpolation=cv2.INTER_AREA)
+            silhouette = cv2.resize(silhouette, size, interpolation=cv2.INTER_AREA)
             inside = cv2.resize(crop.mask, size, interpolation=cv2.INTER_AREA) > MASK_THRESHOLD
             layer = cv2.resize(layer, size, interpolation=cv2.INTER_NEAREST)
         valid = _edge(inside) == 0
-        if window is not None:
-            box = left, top, right, bottom = window.box(layer, _BACKGROUND)
-            seen_by, part = seen_by.crop(box), (slice(top, bottom), slice(left, right))
-            image, layer, outline, inside, valid = (a[part] for a in (image, layer, outline, inside, valid))
+        if random_crop is not None:
+            box = left, top, right, bottom = random_crop.box(layer, _BACKGROUND)
+            view_camera, part = view_camera.crop(box), (slice(top, bottom), slice(left, right))
+            image, layer, silhouette, inside, valid = (
+                a[part] for a in (image, layer, silhouette, inside, valid)
+            )
         labels = np.stack([layer == index for index in range(len(self.layers))], axis=2)
         return View(
-            camera=seen_by,
+            camera=view_camera,
             frame=frame,
             image=torch.from_numpy(image.astype(np.float32) / 255.0),
             inside=torch.from_numpy(inside.astype(np.float32)),
             valid=torch.from_numpy(valid.astype(np.float32)),
             labels=torch.from_numpy(labels.astype(np.float32)),
             known=torch.from_numpy((valid & (layer != _UNKNOWN)).astype(np.float32)),
-            outline=torch.from_numpy(np.ascontiguousarray(outline)),
+            silhouette=torch.from_numpy(np.ascontiguousarray(silhouette)),
         )
 
     def _crop(self, frame: int, camera: str) -> _Crop:
@@ -180,25 +184,27 @@ class TrainingViews:
         return crop
 
     def _read(self, frame: int, camera: str) -> _Crop:
-        whole = self.footage.camera(camera, frame)
+        whole = self.sequence.camera(camera, frame)
         box = (0, 0, whole.width, whole.height)
         if self.crops:
-            box = self.footage.subject_box(camera, frame, margin=_MARGIN)
+            box = self.sequence.subject_box(camera, frame, margin=_MARGIN)
         left, top, right, bottom = box
         inside = (slice(top, bottom), slice(left, right))
-        mask = self.footage.mask(camera, frame)[inside]
-        labels = self.footage.labels(camera, frame)
-        seen_by = whole.crop(box)
+        mask = self.sequence.mask(camera, frame)[inside]
+        labels = self.sequence.labels(camera, frame)
+        view_camera = whole.crop(box)
         layer = np.full(mask.shape, _UNKNOWN, dtype=np.uint8)
         if labels is not None:
             labels = labels[inside]
             layer = self._layer_of_id[labels]
             layer[labels == NO_LABEL] = _UNKNOWN
         layer[mask <= MASK_THRESHOLD] = _BACKGROUND
-        outline = mesh_outline(self._body_vertices(frame), self.body.faces, seen_by)
+        silhouette = rasterize_silhouette(self._body_vertices(frame), self.body.faces, view_camera)
         if BODY in self.layers:  # hair and shoes are part of the body, but not of the body model
-            outline |= layer == self.layers.index(BODY)
-        return _Crop(seen_by, self.footage.image(camera, frame)[inside].copy(), mask.copy(), layer, outline)
+            silhouette |= layer == self.layers.index(BODY)
+        return _Crop(
+            view_camera, self.sequence.image(camera, frame)[inside].copy(), mask.copy(), layer, silhouette
+        )
 
     def _body_vertices(self, frame: int) -> NDArray[np.float32]:
         if frame not in self._posed:
@@ -210,17 +216,17 @@ class TrainingViews:
 
 @dataclass(frozen=True)
 class _Crop:
-    """What is kept of a view: u8 arrays of the crop."""
+    """The cached arrays of a view."""
 
     camera: Camera
     image: NDArray[np.uint8]
     mask: NDArray[np.uint8]
     layer: NDArray[np.uint8]
-    outline: NDArray[np.bool_]
+    silhouette: NDArray[np.bool_]
 
     @property
     def bytes(self) -> int:
-        return self.image.nbytes + self.mask.nbytes + self.layer.nbytes + self.outline.nbytes
+        return self.image.nbytes + self.mask.nbytes + self.layer.nbytes + self.silhouette.nbytes
 
 
 def _edge(inside: NDArray[np.bool_]) -> NDArray[Any]:

@@ -1,10 +1,9 @@
-"""Layers that begin where another subject's training ended: the inner outfit of the same person.
+"""Warm start: layers that continue from another subject's training, the inner outfit of the same person.
 
-Outer garments are learned over a body that is known. The body is frozen; the other layers that both subjects
-have go on from what the inner outfit taught them, and all garments learn together (Gaussian Wardrobe: freeze
-F_b, finetune F_u, F_ℓ, F_o). A layer comes with the maps that it was learned on, whatever grid they are on:
-nothing is resampled, and the body alone is the other subject's to the bit. Canonical space without shape is
-what both share.
+Outer garments are learned over a known body. The body is frozen. The other layers that both subjects have
+continue from the inner outfit, and all garments learn together (Gaussian Wardrobe: freeze F_b, finetune F_u,
+F_ℓ, F_o). A layer comes with the maps that it was learned on, on whatever grid. Nothing is resampled, and the
+body equals the other subject's to the bit. Both share the canonical space without shape.
 """
 
 from __future__ import annotations
@@ -36,12 +35,12 @@ _SAME_PERSON = 0.01  # m between two fits of one body, mean over the skin
 
 
 @dataclass(frozen=True)
-class Start:
-    """What a run starts from beside maps and pictures; empty for nothing.
+class WarmStart:
+    """The layers that a run starts from; empty for a usual run.
 
     Attributes:
         layers: name to the layer as the other subject learned it, inner to outer.
-        files: what was read of the other subject. warnings: sentences for people.
+        files: files that were read of the other subject. warnings: sentences for people.
     """
 
     layers: dict[str, WornLayer] = field(default_factory=dict)
@@ -50,39 +49,40 @@ class Start:
 
     @property
     def frozen(self) -> tuple[str, ...]:
-        """Names of the layers that are not learned any more."""
+        """Names of the layers that are not learned further."""
         return tuple(name for name in self.layers if name in FROZEN)
 
     @property
     def grids(self) -> dict[str, dict[str, Any]]:
-        """The grid of every layer's own maps, as bake-maps notes it."""
+        """The grid of every layer's maps, as bake-maps writes it."""
         return {
             name: {
-                "pitch": worn.maps.pitch,
-                "centre": list(worn.maps.centre),
-                "grid_size": worn.maps.grid_size,
+                "pitch": layer.maps.pitch,
+                "centre": list(layer.maps.centre),
+                "grid_size": layer.maps.grid_size,
             }
-            for name, worn in self.layers.items()
+            for name, layer in self.layers.items()
         }
 
     def weights(self, weights: LossWeights) -> LossWeights:
-        """The weights without the terms that only the body could answer, where it is frozen."""
+        """The weights without terms that only the body could reduce, where it is frozen."""
         if not self.frozen:
             return weights
         return replace(weights, silhouette=0.0, opacity=0.0, covered_skin=0.0, face=0.0)
 
 
-def read_start(
+def read_warm_start(
     other: Path,
     subject: Workspace,
     registered: Artifact,
     maps: dict[str, LayerMaps],
     config: TrainConfig,
-) -> Start:
+) -> WarmStart:
     """The layers of `config.from_layers` (all that both have where it is empty) of a trained subject.
 
     Arguments:
-        other: its folder. subject: that is to be trained. registered: its register-template artifact.
+        other: folder of the other subject. subject: to be trained.
+        registered: its register-template artifact.
         maps: its baked layers.
 
     Raises:
@@ -121,7 +121,7 @@ def read_start(
         load_poses(a.file("smpl_params.npz"), b).betas for a, b in ((registered, body), (described, body))
     )
     warnings = [*_grid_warnings(layers, maps), *_shape_warnings(body, ours, their_shape)]
-    return Start(layers, _files(theirs, baked, trained, names), tuple(warnings))
+    return WarmStart(layers, _files(theirs, baked, trained, names), tuple(warnings))
 
 
 def _chosen(
@@ -165,7 +165,7 @@ def _files(theirs: Workspace, baked: Artifact, trained: Artifact, names: list[st
 
 
 def _grid_warnings(layers: dict[str, WornLayer], maps: dict[str, LayerMaps]) -> list[str]:
-    different = [name for name, worn in layers.items() if not same_grid(worn.maps, maps[name])]
+    different = [name for name, layer in layers.items() if not same_grid(layer.maps, maps[name])]
     if not different:
         return []
     pitch = 1000 * layers[different[0]].maps.pitch

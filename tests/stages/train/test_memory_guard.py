@@ -13,11 +13,10 @@ from gw_cli.child import run_command
 from stages.shared.artifacts import files
 from stages.shared.avatar.config import PAPER_MODEL
 from stages.shared.errors import StorageFailure, UsageProblem
-from stages.train import cost, stage
+from stages.train import memory_guard, stage
 from stages.train.config import PRESETS, TrackConfig
-from stages.train.extent import extent_of
-from stages.train.footprint import anchors_of, memory_bytes
-from stages.train.memory import available_bytes, cure, memory_named, refuse_if_scarce
+from stages.train.estimate import extent_of, memory_bytes
+from stages.train.memory_guard import available_bytes, cure, memory_named, refuse_if_scarce
 from stages.train.stage import prepare
 from stages.train.trainer import Trainer
 from tests.stages.train.scene import TINY, make_subject, tiny
@@ -40,7 +39,7 @@ def test_a_run_that_cannot_fit_is_refused_before_it_starts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     subject = make_subject(tmp_path)
-    monkeypatch.setattr(stage, "available_bytes", lambda: 700_000_000)
+    monkeypatch.setattr(memory_guard, "available_bytes", lambda: 700_000_000)
     huge = tiny(model=replace(PAPER_MODEL, width=0.5, depth=4))
     with pytest.raises(UsageProblem, match="GB are free") as caught:
         stage.run(subject, huge)
@@ -72,11 +71,10 @@ def test_what_is_learned_is_counted_to_the_number(tmp_path: Path) -> None:
     tracked = tiny(track=TrackConfig(frame_step=1), model=replace(TINY.model, anchors=9))
     for config in (tiny(), tracked, tiny(model=published)):
         trainer = prepare(subject, config)
-        extent = extent_of(trainer.views.footage, config)
-        counted = cost.parameters(
-            {name: model.maps for name, model in trainer.models.items()}, config, anchors_of(config, extent)
+        costs = [model.cost(model.maps, trainer.config.model) for model in trainer.models.values()]
+        assert sum(cost.parameters for cost in costs) == sum(
+            parameter.numel() for parameter in trainer.parameters.values()
         )
-        assert counted == sum(parameter.numel() for parameter in trainer.parameters.values())
 
 
 def test_estimates_grow_with_what_is_kept(tmp_path: Path) -> None:
@@ -84,7 +82,7 @@ def test_estimates_grow_with_what_is_kept(tmp_path: Path) -> None:
     trainer = prepare(subject, tiny())
     maps = {name: model.maps for name, model in trainer.models.items()}
     wide = tiny(model=replace(PAPER_MODEL, width=1.0, depth=4))
-    extent = extent_of(trainer.views.footage, wide)
+    extent = extent_of(trainer.views.sequence, wide)
     whole, economical = (memory_bytes(maps, replace(wide, recompute=on), extent) for on in (False, True))
     assert economical < whole
     more = replace(extent, read=100, pixels=1_000_000)

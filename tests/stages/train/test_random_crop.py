@@ -12,11 +12,11 @@ from stages.shared.avatar.compose import compose
 from stages.shared.errors import UsageProblem
 from stages.shared.losses.crops import face_box
 from stages.train import stage
-from stages.train.data import choose
 from stages.train.objective import picture_terms, render
+from stages.train.random_crop import RandomCrop, boundaries
 from stages.train.resolve import resolve_settings
 from stages.train.trainer import Trainer
-from stages.train.window import Window, outlines
+from stages.train.views import choose
 from tests.stages.train.scene import make_subject, tiny
 
 _BACKGROUND = 250
@@ -44,13 +44,13 @@ def test_a_window_is_the_cut_out_of_the_whole(subject: Path) -> None:
     layer = trainer.views._crop(1, "cam1").layer
     places = set()
     for step in range(6):
-        window = Window(12, (0, 5, step))
+        window = RandomCrop(12, (0, 5, step))
         left, top, right, bottom = window.box(layer, _BACKGROUND)
         places.add((left, top))
         cut = (slice(top, bottom), slice(left, right))
-        part = trainer.views.view(1, "cam1", window=window)
+        part = trainer.views.view(1, "cam1", random_crop=window)
         assert (part.camera.width, part.camera.height) == (12, 12) == (right - left, bottom - top)
-        for name in ("image", "inside", "valid", "labels", "known", "outline"):
+        for name in ("image", "inside", "valid", "labels", "known", "silhouette"):
             assert torch.equal(getattr(part, name), getattr(whole, name)[cut]), name
         picture = render(composite, part.camera, body_alone=True)
         assert picture.alpha.max() > 0.5
@@ -61,7 +61,7 @@ def test_a_window_is_the_cut_out_of_the_whole(subject: Path) -> None:
 
 def test_a_window_of_a_smaller_picture_is_cut_from_the_smaller_picture(subject: Path) -> None:
     views = stage.prepare(subject, tiny()).views
-    small, window = views.view(2, "cam0", 0.5), Window(8, (3, 5, 1))
+    small, window = views.view(2, "cam0", 0.5), RandomCrop(8, (3, 5, 1))
     part = views.view(2, "cam0", 0.5, window)
     offset = small.camera.intrinsics[:2, 2] - part.camera.intrinsics[:2, 2]
     left, top = offset.round().astype(int)
@@ -69,18 +69,18 @@ def test_a_window_of_a_smaller_picture_is_cut_from_the_smaller_picture(subject: 
     assert torch.equal(part.image, small.image[top : top + 8, left : left + 8])
 
 
-def test_the_draw_is_a_function_of_its_key_and_goes_by_person_and_outlines() -> None:
+def test_the_draw_is_a_function_of_its_key_and_goes_by_person_and_boundaries() -> None:
     layer = _layers()
-    boxes = [Window(64, (1, 5, step)).box(layer, _BACKGROUND) for step in range(300)]
-    assert boxes == [Window(64, (1, 5, step)).box(layer, _BACKGROUND) for step in range(300)]
+    boxes = [RandomCrop(64, (1, 5, step)).box(layer, _BACKGROUND) for step in range(300)]
+    assert boxes == [RandomCrop(64, (1, 5, step)).box(layer, _BACKGROUND) for step in range(300)]
     assert len(set(boxes)) > 20
     parts = [layer[top:bottom, left:right] for left, top, right, bottom in boxes]
     assert all(part.shape == (64, 64) for part in parts)
     foreground = [(part != _BACKGROUND).mean() for part in parts]
     anywhere = (layer != _BACKGROUND).mean()
     assert min(foreground) > 0 and np.mean(foreground) > 3 * anywhere
-    lines = [outlines(part).mean() for part in parts]
-    assert np.mean(lines) > 3 * outlines(layer).mean()
+    lines = [boundaries(part).mean() for part in parts]
+    assert np.mean(lines) > 3 * boundaries(layer).mean()
     shares = np.zeros(layer.shape)
     for left, top, right, bottom in boxes:
         shares[top:bottom, left:right] += 1
@@ -90,19 +90,19 @@ def test_the_draw_is_a_function_of_its_key_and_goes_by_person_and_outlines() -> 
 @pytest.mark.parametrize("shape", [(40, 100), (100, 40), (40, 40), (64, 64)])
 def test_views_smaller_than_the_window_are_seen_whole(shape: tuple[int, int]) -> None:
     layer = _layers(300, 200)[150 : 150 + shape[0], : shape[1]]
-    left, top, right, bottom = Window(64, (0,)).box(layer, _BACKGROUND)
+    left, top, right, bottom = RandomCrop(64, (0,)).box(layer, _BACKGROUND)
     assert (right - left, bottom - top) == (min(64, shape[1]), min(64, shape[0]))
 
 
 def test_a_view_of_nothing_has_windows_too() -> None:
     nobody = np.full((200, 200), _BACKGROUND, np.uint8)
-    boxes = {Window(64, (0, step)).box(nobody, _BACKGROUND) for step in range(40)}
+    boxes = {RandomCrop(64, (0, step)).box(nobody, _BACKGROUND) for step in range(40)}
     assert len(boxes) > 10
 
 
 def test_outlines_are_where_layers_meet() -> None:
     layer = np.array([[9, 9, 9], [9, 0, 1], [9, 0, 0]], np.uint8)
-    assert outlines(layer).tolist() == [[0, 1, 1], [1, 1, 1], [1, 0, 0]]
+    assert boundaries(layer).tolist() == [[0, 1, 1], [1, 1, 1], [1, 0, 0]]
 
 
 def test_a_patch_that_covers_everything_changes_nothing(subject: Path) -> None:
@@ -119,7 +119,7 @@ def test_a_patch_that_covers_everything_changes_nothing(subject: Path) -> None:
 def test_steps_see_windows_by_seed_and_number_whatever_came_before(subject: Path) -> None:
     config = tiny(patch=32, seed=3)
     one, other = stage.prepare(subject, config), stage.prepare(subject, config)
-    other._window(choose(3, 0, other.frames, other.cameras, 2), "cam0")
+    other._random_crop(choose(3, 0, other.frames, other.cameras, 2), "cam0")
     assert _terms(one, 5) == _terms(other, 5)
     assert _terms(one, 5) != _terms(stage.prepare(subject, tiny(seed=3)), 5)
 
@@ -131,7 +131,7 @@ def _terms(trainer: Trainer, step: int) -> dict[str, float]:
     with torch.no_grad():
         composite = compose(trainer.posed(choice.frame))
         for camera in choice.cameras:
-            view = trainer.views.view(choice.frame, camera, window=trainer._window(choice, camera))
+            view = trainer.views.view(choice.frame, camera, random_crop=trainer._random_crop(choice, camera))
             background = torch.full((3,), 0.5)
             terms = picture_terms(composite, view, background, trainer.config.weights, "l1")
             found |= {f"{camera} {name}": float(value) for name, value in terms.items()}

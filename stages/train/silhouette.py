@@ -1,4 +1,4 @@
-"""Silhouette of a mesh in a camera: all triangles drawn, none hidden."""
+"""The silhouette of a mesh in a camera: all triangles are drawn, none hides another."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from stages.shared.capture import Camera
 
 
-def mesh_outline(
+def rasterize_silhouette(
     vertices: NDArray[np.float32], faces: NDArray[np.int32], camera: Camera
 ) -> NDArray[np.bool_]:
     """(H, W) bool: pixels whose centre a triangle of the mesh covers.

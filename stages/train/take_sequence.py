@@ -1,7 +1,7 @@
-"""The takes that a run learns from, as one film: frames numbered through, and poses to match.
+"""The takes that a run learns from, as one sequence with one numbering of frames and one set of poses.
 
-Frames of the first take keep their numbers. Every other take begins behind the last row of poses before it,
-after a pause in its own first pose, so long that no memory of motion reaches over it.
+Frames of the first take keep their numbers. Every other take starts after the last pose of the take before
+it and a pause in its own first pose. The pause is longer than the motion features remember.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from stages.shared.capture import Camera, Take
 from stages.shared.capture.camera import Box
 from stages.shared.errors import BadData, UsageProblem
 
-_MEMORIES = 6  # the most that a run can have
+_MOTION_FEATURES = 6  # the most that a run can have
 _PAUSE = 6.0  # time constants of the longest of them
 _SAME_RATE = 1e-3  # frames per second
 
 
 @dataclass(frozen=True)
-class Footage:
-    """Takes in a row.
+class TakeSequence:
+    """Takes one after the other.
 
     Attributes:
         takes: the one of the template first. starts: number of frame 0 of each.
@@ -64,48 +64,50 @@ class Footage:
 
     def groups(self, frames: Sequence[int]) -> list[list[int]]:
         """Indices into `frames`, by take."""
-        found: list[list[int]] = [[] for _ in self.takes]
+        groups: list[list[int]] = [[] for _ in self.takes]
         for index, frame in enumerate(frames):
-            found[self._place(frame)].append(index)
-        return [group for group in found if group]
+            groups[self._take_index(frame)].append(index)
+        return [group for group in groups if group]
 
     def camera(self, camera: str, frame: int) -> Camera:
-        """A camera as it stood in the take of a frame."""
-        return self.takes[self._place(frame)].camera(camera)
+        """A camera with its calibration in the take of a frame."""
+        return self.takes[self._take_index(frame)].camera(camera)
 
     def has_image(self, camera: str, frame: int) -> bool:
-        take, own = self._at(frame)
-        return take.has_image(camera, own)
+        take, row = self._locate(frame)
+        return take.has_image(camera, row)
 
     def image(self, camera: str, frame: int) -> NDArray[np.uint8]:
         """As `Take.image`; the same for those below."""
-        take, own = self._at(frame)
-        return take.image(camera, own)
+        take, row = self._locate(frame)
+        return take.image(camera, row)
 
     def mask(self, camera: str, frame: int) -> NDArray[np.uint8]:
-        take, own = self._at(frame)
-        return take.mask(camera, own)
+        take, row = self._locate(frame)
+        return take.mask(camera, row)
 
     def labels(self, camera: str, frame: int) -> NDArray[np.uint8] | None:
-        take, own = self._at(frame)
-        return take.labels(camera, own)
+        take, row = self._locate(frame)
+        return take.labels(camera, row)
 
     def subject_box(self, camera: str, frame: int, margin: int) -> Box:
-        take, own = self._at(frame)
-        return take.subject_box(camera, own, margin=margin)
+        take, row = self._locate(frame)
+        return take.subject_box(camera, row, margin=margin)
 
-    def _at(self, frame: int) -> tuple[Take, int]:
-        place = self._place(frame)
-        return self.takes[place], frame - self.starts[place]
+    def _locate(self, frame: int) -> tuple[Take, int]:
+        index = self._take_index(frame)
+        return self.takes[index], frame - self.starts[index]
 
-    def _place(self, frame: int) -> int:
+    def _take_index(self, frame: int) -> int:
         return bisect_right(self.starts, frame) - 1
 
 
-def joined(takes: Sequence[Take], poses: Sequence[Poses], body: BodyModel) -> tuple[Footage, Poses]:
-    """Takes as one film, and its poses: row = number of the frame, shape of the first take.
+def concatenate_takes(
+    takes: Sequence[Take], poses: Sequence[Poses], body: BodyModel
+) -> tuple[TakeSequence, Poses]:
+    """The takes as one sequence, and its poses: row = number of the frame, shape of the first take.
 
-    A take whose body was fitted with another shape keeps the places of its pelvis.
+    A take whose body was fitted with another shape keeps the positions of its pelvis.
 
     Arguments:
         poses: of each take, row = its own frame number.
@@ -121,12 +123,12 @@ def joined(takes: Sequence[Take], poses: Sequence[Poses], body: BodyModel) -> tu
                 "Register the subject again with `gw register-template`.",
             )
     if len(takes) == 1:
-        return Footage((takes[0],)), poses[0]
+        return TakeSequence((takes[0],)), poses[0]
     first = poses[0]
     for take, own in zip(takes, poses, strict=True):
         if abs(own.fps - first.fps) > _SAME_RATE:
             raise _apart(f"{take.name} has {own.fps:g} frames per second and {takes[0].name} {first.fps:g}.")
-    pause = math.ceil(_PAUSE * time_constant(_MEMORIES - 1) * first.fps)
+    pause = math.ceil(_PAUSE * time_constant(_MOTION_FEATURES - 1) * first.fps)
     parts, starts, rows = [first], [0], len(first)
     for own in poses[1:]:
         moved = _with_shape(own, first.betas, body)
@@ -137,10 +139,10 @@ def joined(takes: Sequence[Take], poses: Sequence[Poses], body: BodyModel) -> tu
         np.concatenate([getattr(part, name) for part in parts])
         for name in ("rotations", "translation", "expression")
     )
-    footage = Footage(tuple(takes), tuple(starts))
-    if not footage.training_cameras:
+    sequence = TakeSequence(tuple(takes), tuple(starts))
+    if not sequence.training_cameras:
         raise _apart("The takes have no training camera in common.")
-    return footage, replace(first, rotations=rotations, translation=translation, expression=expression)
+    return sequence, replace(first, rotations=rotations, translation=translation, expression=expression)
 
 
 def _with_shape(poses: Poses, betas: NDArray[np.float32], body: BodyModel) -> Poses:

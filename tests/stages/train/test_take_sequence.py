@@ -19,8 +19,8 @@ from stages.shared.capture import Capture, open_capture
 from stages.shared.errors import BadData, UsageProblem
 from stages.train import stage
 from stages.train.config import TrackConfig
-from stages.train.footage import joined
-from stages.train.tracking import route
+from stages.train.take_sequence import concatenate_takes
+from stages.train.tracking.route import plan_route
 from tests.stages.train.scene import FRAMES, make_subject, poses, tiny
 
 _TURNED = 3
@@ -102,12 +102,12 @@ def test_takes_that_do_not_go_together_are_refused(subject: Path, capture: Captu
     body, takes = embedded_body(), (capture.take("moves"), capture.take("turns"))
     motions = [take.poses for take in takes]
     with pytest.raises(UsageProblem, match="frames per second"):
-        joined(takes, [motions[0], replace(motions[1], fps=12.5)], body)
+        concatenate_takes(takes, [motions[0], replace(motions[1], fps=12.5)], body)
     lonely = replace(takes[1], training_cameras=("cam2",))
     with pytest.raises(UsageProblem, match="no training camera in common"):
-        joined((takes[0], lonely), motions, body)
+        concatenate_takes((takes[0], lonely), motions, body)
     with pytest.raises(BadData, match="2 poses"):
-        joined(takes, [motions[0], motions[1][:2]], body)
+        concatenate_takes(takes, [motions[0], motions[1][:2]], body)
     held = replace(takes[1], split="test")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
@@ -124,15 +124,15 @@ def test_cameras_may_stand_elsewhere_in_another_take(capture: Capture) -> None:
     moved = np.array(second.camera("cam0").camera_from_world)
     moved[0, 3] += 0.1
     cameras = {**second.cameras, "cam0": replace(second.camera("cam0"), camera_from_world=moved)}
-    footage, _ = joined(
+    sequence, _ = concatenate_takes(
         (first, replace(second, cameras=cameras)), [first.poses, second.poses], embedded_body()
     )
-    start = footage.starts[1]
-    assert np.allclose(footage.camera("cam0", 1).centre, first.camera("cam0").centre)
-    assert not np.allclose(footage.camera("cam0", start + 1).centre, first.camera("cam0").centre)
-    assert footage.training_cameras == ("cam0", "cam1") and footage.heldout_cameras == ("cam2",)
-    assert footage.every(2) == [0, 2, start, start + 2]
-    assert footage.groups(footage.every(2)) == [[0, 1], [2, 3]]
+    start = sequence.starts[1]
+    assert np.allclose(sequence.camera("cam0", 1).centre, first.camera("cam0").centre)
+    assert not np.allclose(sequence.camera("cam0", start + 1).centre, first.camera("cam0").centre)
+    assert sequence.training_cameras == ("cam0", "cam1") and sequence.heldout_cameras == ("cam2",)
+    assert sequence.every(2) == [0, 2, start, start + 2]
+    assert sequence.groups(sequence.every(2)) == [[0, 1], [2, 3]]
 
 
 def test_a_body_fitted_with_another_shape_keeps_the_place_of_its_pelvis(capture: Capture) -> None:
@@ -140,13 +140,13 @@ def test_a_body_fitted_with_another_shape_keeps_the_place_of_its_pelvis(capture:
     tall = np.zeros(10, np.float32)
     tall[0] = 3.0
     other = replace(_turning(), betas=tall)
-    footage, rows = joined(takes, [poses(), other], body)
+    sequence, rows = concatenate_takes(takes, [poses(), other], body)
     for own in range(_TURNED):
         found = [
             posed_joints(
                 body, *(torch.from_numpy(a) for a in (p.rotations[row], p.translation[row], p.betas))
             )
-            for p, row in ((rows, footage.starts[1] + own), (other, own))
+            for p, row in ((rows, sequence.starts[1] + own), (other, own))
         ]
         assert torch.allclose(found[0][0], found[1][0], atol=1e-5)
         assert not torch.allclose(found[0][15], found[1][15], atol=1e-2), (
@@ -155,21 +155,21 @@ def test_a_body_fitted_with_another_shape_keeps_the_place_of_its_pelvis(capture:
 
 
 def test_one_take_is_followed_forwards_then_backwards() -> None:
-    found = route([[0, 1, 2, 3, 4]], 2, torch.zeros(5, 3))
-    assert found.order == [2, 3, 4, 1, 0]
-    assert found.before == {2: None, 3: 2, 4: 3, 1: 2, 0: 1}
-    assert [found.earlier(index) for index in found.order] == [None, None, 2, None, 2]
+    route = plan_route([[0, 1, 2, 3, 4]], 2, torch.zeros(5, 3))
+    assert route.order == [2, 3, 4, 1, 0]
+    assert route.before == {2: None, 3: 2, 4: 3, 1: 2, 0: 1}
+    assert [route.earlier(index) for index in route.order] == [None, None, 2, None, 2]
 
 
 def test_another_take_is_entered_where_its_pose_is_nearest_to_a_known_one() -> None:
     described = torch.tensor([0.0, 1.0, 2.0, 9.0, 1.1, 7.0, 0.9])[:, None]
-    found = route([[0, 1, 2], [3, 4, 5, 6]], 0, described)
-    assert found.order[:3] == [0, 1, 2] and sorted(found.order) == list(range(7))
-    entry = found.order[3]
-    assert entry in (4, 6) and found.before[entry] == 1
-    assert found.entries == {0, entry} and found.earlier(entry) is None
-    place = {index: number for number, index in enumerate(found.order)}
-    assert all(last is None or place[last] < place[index] for index, last in found.before.items())
+    route = plan_route([[0, 1, 2], [3, 4, 5, 6]], 0, described)
+    assert route.order[:3] == [0, 1, 2] and sorted(route.order) == list(range(7))
+    entry = route.order[3]
+    assert entry in (4, 6) and route.before[entry] == 1
+    assert route.entries == {0, entry} and route.earlier(entry) is None
+    place = {index: number for number, index in enumerate(route.order)}
+    assert all(last is None or place[last] < place[index] for index, last in route.before.items())
 
 
 def test_tracking_follows_every_frame_of_every_take(subject: Path) -> None:
@@ -179,8 +179,8 @@ def test_tracking_follows_every_frame_of_every_take(subject: Path) -> None:
     trainer.warm_up()
     for place in range(len(trainer.tracker.order)):
         trainer.tracker.follow(place)
-    found = trainer.tracker.tracked["upper"].found
-    assert len(found) == FRAMES + _TURNED == len(trainer.anchor_frames)
+    found = trainer.tracker.tracked["upper"].control_points
+    assert len(found) == FRAMES + _TURNED == len(trainer.key_frames)
     assert bool((found.abs().amax(dim=(1, 2)) > 0).all())
     entered = trainer.tracker.order[FRAMES]
     assert trainer.tracker.route.before[entered] == FRAMES - 1, "both are bent to the same side"

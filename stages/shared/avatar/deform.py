@@ -14,6 +14,7 @@ from torch import Tensor
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.avatar.used_joints import used
 from stages.shared.finite import finite, require_finite
+from stages.shared.quaternions import matrices_from_quaternions
 
 
 @dataclass(frozen=True)
@@ -70,27 +71,6 @@ def moved(points: Tensor, matrices: Tensor) -> Tensor:
     return (matrices[:, :, :3] @ points[:, :, None]).squeeze(-1) + matrices[:, :, 3]
 
 
-def rotation_matrices(quaternions: Tensor) -> Tensor:
-    """Unit quaternions wxyz (N, 4) -> rotation matrices (N, 3, 3)."""
-    w, x, y, z = quaternions.unbind(dim=-1)
-    rows = (
-        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
-    )  # fmt: skip
-    return torch.stack(rows, dim=-1).view(-1, 3, 3)
-
-
-def unit_quaternions(quaternions: Tensor) -> Tensor:
-    """Normalise (N, 4); a (nearly) zero quaternion becomes the identity, with zero gradient, never NaN."""
-    squared = quaternions.square().sum(dim=-1, keepdim=True)
-    finite(squared, "unit_quaternions", quaternions=quaternions)
-    usable = squared > 1e-12
-    safe = torch.where(usable, squared, torch.ones_like(squared))
-    identity = quaternions.new_tensor([1.0, 0.0, 0.0, 0.0])
-    return torch.where(usable, quaternions * safe.rsqrt(), identity)
-
-
 def estimate_normals(means: Tensor, maps: LayerMaps, fallback: Tensor) -> Tensor:
     """Unit normals (N, 3) of posed texels from their map neighbours.
 
@@ -143,7 +123,9 @@ def pose_layer(
     """
     matrices = blended(maps.skin_weights, transforms) if texel_matrices is None else texel_matrices
     means = moved(shaped_positions(maps, betas) + attributes.offsets, matrices)
-    spread = matrices[:, :, :3] @ (rotation_matrices(attributes.quaternions) * attributes.scales[:, None, :])
+    spread = matrices[:, :, :3] @ (
+        matrices_from_quaternions(attributes.quaternions) * attributes.scales[:, None, :]
+    )
     covariances = spread @ spread.transpose(1, 2)
     finite(
         means.sum() + covariances.sum(),

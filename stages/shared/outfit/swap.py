@@ -15,9 +15,9 @@ from torch import Tensor
 
 from stages.shared.avatar.deform import Attributes
 from stages.shared.avatar.maps import LayerMaps
-from stages.shared.finite import require_finite
 from stages.shared.outfit.coverage import FEATHER, covered_weights, same_grid
 from stages.shared.outfit.layer import WornLayer
+from stages.shared.quaternions import slerp
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,19 +73,6 @@ def apply_swaps(attributes: Attributes, swaps: list[Swap]) -> Attributes:
             quaternions=slerp(attributes.quaternions, swap.quaternions, swap.weights),
         )
     return attributes
-
-
-def slerp(start: Tensor, end: Tensor, weights: Tensor) -> Tensor:
-    """Spherical interpolation of unit quaternions (N, 4) along the shorter arc; weights (N, 1) 0..1."""
-    require_finite("slerp", start=start, end=end, weights=weights)
-    cosine = (start * end).sum(dim=1, keepdim=True)
-    end = torch.where(cosine < 0, -end, end)
-    straight = cosine.abs() > 1 - 1e-7  # nearly equal: interpolate linearly, since acos has no finite slope
-    angle = torch.acos(torch.where(straight, 0.0, cosine.abs()))
-    safe = torch.sin(angle)
-    first = torch.where(straight, 1 - weights, torch.sin((1 - weights) * angle) / safe)
-    second = torch.where(straight, weights, torch.sin(weights * angle) / safe)
-    return torch.nn.functional.normalize(first * start + second * end, dim=1)
 
 
 def covered_texels(body: LayerMaps, garment: LayerMaps) -> Tensor:

@@ -24,7 +24,7 @@ from stages.shared.avatar.maps import LayerMaps
 from stages.shared.losses.covered_skin import hand_texels
 from stages.shared.outfit.coverage import FEATHER, covered_weights, same_grid
 from stages.shared.outfit.layer import Skin, WornLayer
-from stages.shared.outfit.swap import slerp
+from stages.shared.quaternions import slerp
 
 _LIKE_SKIN = 0.25  # distance in sRGB from the colour of the hands; hair and shoes are farther
 _LARGEST = 0.01  # m, limit of the height over the template

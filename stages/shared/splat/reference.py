@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from stages.shared.quaternions import matrices_from_quaternions
 from stages.shared.splat.rendering import Rendering, stacked
 from stages.shared.splat.scene import Scene, check_gaussians
 from stages.shared.splat.settings import (
@@ -40,20 +41,10 @@ class Projected:
     opacities: Tensor
 
 
-def rotation_matrices(quats: Tensor) -> Tensor:
-    """(N, 4) quaternions w x y z of any length but zero -> (N, 3, 3)."""
-    w, x, y, z = (quats / quats.norm(dim=-1, keepdim=True)).unbind(-1)
-    rows = [
-        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
-    ]  # fmt: skip
-    return torch.stack(rows, -1).reshape(quats.shape[:-1] + (3, 3))
-
-
 def covariances(quats: Tensor, scales: Tensor) -> Tensor:
     """Sigma = R S S R^T: (N, 4), (N, 3) m -> (N, 3, 3) m^2."""
-    axes = rotation_matrices(quats) * scales[..., None, :]
+    unit = quats / quats.norm(dim=-1, keepdim=True)
+    axes = matrices_from_quaternions(unit) * scales[..., None, :]
     return axes @ axes.mT
 
 

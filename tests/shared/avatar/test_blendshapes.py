@@ -15,8 +15,8 @@ from stages.shared.avatar.decoders.blendshapes import (
 from stages.shared.avatar.decoders.registry import load_decoder, new_decoder
 from stages.shared.avatar.decoders.styleunet import StyleUNetDecoder
 from stages.shared.avatar.decoders.texel_attributes import BASIS_GROUPS, group_channels
-from stages.shared.avatar.deform import rotation_matrices
 from stages.shared.errors import BadData, UsageProblem
+from stages.shared.quaternions import matrices_from_quaternions
 from tests.shared.avatar.tubes import tube
 
 CONFIG = ModelConfig(decoder="blendshapes", ranks=(3, 2, 1))
@@ -25,7 +25,8 @@ CONFIG = ModelConfig(decoder="blendshapes", ranks=(3, 2, 1))
 def _pose(angle: float) -> torch.Tensor:
     transforms = torch.eye(4).repeat(55, 1, 1)
     half = torch.tensor([angle / 2])
-    transforms[3, :3, :3] = rotation_matrices(torch.stack((half.cos(), half.sin(), half * 0, half * 0), 1))[0]
+    turn = torch.stack((half.cos(), half.sin(), half * 0, half * 0), 1)
+    transforms[3, :3, :3] = matrices_from_quaternions(turn)[0]
     return transforms
 
 

@@ -5,14 +5,8 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from stages.shared.avatar.deform import (
-    Attributes,
-    estimate_normals,
-    pose_layer,
-    rotation_matrices,
-    unit_quaternions,
-    view_cosines,
-)
+from stages.shared.avatar.deform import Attributes, estimate_normals, pose_layer, view_cosines
+from stages.shared.quaternions import matrices_from_quaternions, unit_quaternions
 from tests.shared.avatar.tubes import tube
 
 
@@ -20,7 +14,7 @@ def _transforms(seed: int) -> torch.Tensor:
     generator = torch.Generator().manual_seed(seed)
     quaternions = torch.nn.functional.normalize(torch.randn(55, 4, generator=generator), dim=1)
     transforms = torch.eye(4).repeat(55, 1, 1)
-    transforms[:, :3, :3] = rotation_matrices(quaternions)
+    transforms[:, :3, :3] = matrices_from_quaternions(quaternions)
     transforms[:, :3, 3] = torch.randn(55, 3, generator=generator)
     return transforms
 

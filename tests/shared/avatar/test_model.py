@@ -13,10 +13,10 @@ from stages.shared.avatar.compose import compose
 from stages.shared.avatar.config import PAPER_MODEL, ModelConfig
 from stages.shared.avatar.decoders.positional_maps import PositionalMaps, network_grid
 from stages.shared.avatar.decoders.styleunet import StyleUNetDecoder
-from stages.shared.avatar.decoders.texel_attributes import quaternion_from_z
-from stages.shared.avatar.deform import pose_layer, rotation_matrices
+from stages.shared.avatar.deform import pose_layer
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.errors import BadData
+from stages.shared.quaternions import matrices_from_quaternions, quaternion_from_z
 from tests.shared.avatar.tubes import CENTRE, GRID, PITCH, tube, tube_arrays
 
 SMALL = ModelConfig(width=0.0625, depth=2, style=8, factor=4)
@@ -37,7 +37,8 @@ SEPARATE = ModelConfig(
 def _pose(angle: float = 0.0) -> torch.Tensor:
     transforms = torch.eye(4).repeat(55, 1, 1)
     half = torch.tensor([angle / 2])
-    transforms[3, :3, :3] = rotation_matrices(torch.stack((half.cos(), half.sin(), half * 0, half * 0), 1))[0]
+    turn = torch.stack((half.cos(), half.sin(), half * 0, half * 0), 1)
+    transforms[3, :3, :3] = matrices_from_quaternions(turn)[0]
     return transforms
 
 
@@ -53,7 +54,7 @@ def test_fresh_model_is_the_baked_surface() -> None:
     attributes = StyleUNetDecoder(maps, SMALL)(_pose(0.7))
     assert attributes.offsets.abs().max() == 0
     assert torch.allclose(attributes.colors, maps.colors.clamp(0.02, 0.98), atol=1e-5)
-    discs = rotation_matrices(attributes.quaternions)[:, :, 2]
+    discs = matrices_from_quaternions(attributes.quaternions)[:, :, 2]
     assert torch.allclose(discs, maps.normals, atol=1e-5)
     assert torch.allclose(attributes.scales[:, 0], maps.spacing, atol=1e-6)
 
@@ -177,7 +178,7 @@ def test_layers_of_one_texel_or_none(chosen: slice) -> None:
 
 def test_discs_for_any_normal() -> None:
     normals = torch.tensor([[0, 0, 1.0], [0, 0, -1], [1, 0, 0], [0, -1, 0], [0.6, 0, -0.8], [1e-8, 0, -1]])
-    assert torch.allclose(rotation_matrices(quaternion_from_z(normals))[:, :, 2], normals, atol=1e-6)
+    assert torch.allclose(matrices_from_quaternions(quaternion_from_z(normals))[:, :, 2], normals, atol=1e-6)
 
 
 def test_normalised_input_is_the_departure_from_the_mean_pose() -> None:

@@ -12,11 +12,12 @@ from stages.shared.avatar.config import ModelConfig
 from stages.shared.avatar.decoders.base import Decoder
 from stages.shared.avatar.decoders.blendshapes import BlendshapeDecoder, BlendshapeSizes
 from stages.shared.avatar.decoders.styleunet import StyleUNetDecoder
-from stages.shared.avatar.deform import pose_layer, rotation_matrices
+from stages.shared.avatar.deform import pose_layer
 from stages.shared.avatar.pose import FramePose
 from stages.shared.avatar.posing import PosedBuffers, PosedLayer, Replacement
 from stages.shared.outfit.swap import Swap, apply_swaps
 from stages.shared.outfit.uncovered_skin import UncoveredSkin, replace_uncovered_skin
+from stages.shared.quaternions import matrices_from_quaternions
 from tests.shared.avatar.tubes import tube
 
 BETAS = torch.linspace(-2, 2, 10)
@@ -26,7 +27,7 @@ def _transforms() -> torch.Tensor:
     generator = torch.Generator().manual_seed(5)
     transforms = torch.eye(4).repeat(55, 1, 1)
     quaternions = torch.nn.functional.normalize(torch.randn(55, 4, generator=generator), dim=1)
-    transforms[:, :3, :3] = rotation_matrices(quaternions)
+    transforms[:, :3, :3] = matrices_from_quaternions(quaternions)
     transforms[:, :3, 3] = torch.randn(55, 3, generator=generator)
     return transforms
 

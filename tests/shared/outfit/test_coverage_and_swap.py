@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation, Slerp
 from stages.shared.avatar.deform import Attributes
 from stages.shared.outfit.coverage import covered_weights
 from stages.shared.outfit.layer import BodyUnderGarment
-from stages.shared.outfit.swap import apply_swaps, covered_texels, plan_swap, slerp
+from stages.shared.outfit.swap import apply_swaps, covered_texels, plan_swap
+from stages.shared.quaternions import slerp
 from tests.shared.outfit.wardrobe import PITCH, worn
 
 BODY, UPPER = worn("body", source="one"), worn("upper", source="other")

@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch.nn import functional
 
-from stages.shared.avatar.deform import Attributes, PosedGaussians, pose_layer, rotation_matrices
+from stages.shared.avatar.deform import Attributes, PosedGaussians, pose_layer
 from stages.shared.body import BodyModel, embedded_body
 from stages.shared.errors import BadData
 from stages.shared.outfit.collision_correction import CLEARANCE, plan_correction, smooth_field
@@ -17,6 +17,7 @@ from stages.shared.outfit.layer import Skin, WornLayer
 from stages.shared.outfit.outfit import outfit_of_bundles
 from stages.shared.outfit.retarget import canonical_joints, retarget_garment
 from stages.shared.outfit.uncovered_skin import extrapolate_skin, plan_uncovered_skin, replace_uncovered_skin
+from stages.shared.quaternions import matrices_from_quaternions
 from stages.shared.splat.api import rasterize
 from tests.shared.outfit.wardrobe import bundle, motion, worn
 
@@ -128,7 +129,7 @@ def test_bare_skin_has_no_gaps(side: tuple[float, float, float], before: float, 
     assert _least_alpha(wearer, shrunk, bare, side) < before
     assert _least_alpha(wearer, replace_uncovered_skin(shrunk, naked), bare, side) > after
     # Discs lie in the surface, and none is longer than the limit.
-    thin = rotation_matrices(naked.quaternions)[:, :, 2]
+    thin = matrices_from_quaternions(naked.quaternions)[:, :, 2]
     assert (thin * functional.normalize(wearer.maps.normals, dim=1)).sum(dim=1).min() > 0.999
     assert naked.scales.max() <= 1.5 * wearer.maps.pitch + 1e-6
 

@@ -12,7 +12,7 @@ from stages.distill.samples import Samples, blend_rotations
 from stages.shared.avatar.config import ModelConfig
 from stages.shared.avatar.decoders.blendshapes import BlendshapeDecoder, BlendshapeSizes
 from stages.shared.avatar.decoders.texel_attributes import BASIS_GROUPS, group_channels
-from stages.shared.avatar.deform import rotation_matrices
+from stages.shared.quaternions import matrices_from_quaternions
 from tests.shared.avatar.tubes import tube
 
 
@@ -21,7 +21,7 @@ def _pose(first: float, second: float) -> torch.Tensor:
     for joint, angle in ((3, first), (16, second)):
         half = torch.tensor([angle / 2])
         quaternion = torch.stack((half.cos(), half.sin(), half * 0, half * 0), 1)
-        transforms[joint, :3, :3] = rotation_matrices(quaternion)[0]
+        transforms[joint, :3, :3] = matrices_from_quaternions(quaternion)[0]
     return transforms
 
 

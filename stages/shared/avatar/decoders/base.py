@@ -18,10 +18,11 @@ from torch import Tensor, nn
 from stages.shared.artifacts.bundle_model import check_model
 from stages.shared.avatar.config import ModelConfig
 from stages.shared.avatar.decoders.texel_attributes import CHANNELS, MIN_SCALE, initial_attributes
-from stages.shared.avatar.deform import Attributes, unit_quaternions
+from stages.shared.avatar.deform import Attributes
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.errors import BadData
 from stages.shared.finite import require_finite
+from stages.shared.quaternions import unit_quaternions
 
 if TYPE_CHECKING:
     from stages.shared.avatar.decoders.key_poses import KeyPoseOffsets

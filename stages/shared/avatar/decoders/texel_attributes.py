@@ -10,11 +10,10 @@ import math
 
 import torch
 from torch import Tensor
-from torch.nn import functional
 
 from stages.shared.avatar.config import ModelConfig
 from stages.shared.avatar.maps import LayerMaps
-from stages.shared.finite import require_finite
+from stages.shared.quaternions import quaternion_from_z
 
 CHANNELS = {"offset": (0, 3), "quaternion": (3, 7), "opacity": (7, 8), "scale": (8, 11), "color": (11, 14)}
 BASIS_GROUPS: dict[str, tuple[str, ...]] = {
@@ -54,14 +53,3 @@ def initial_attributes(maps: LayerMaps, config: ModelConfig) -> dict[str, Tensor
         "scale": log_spacing,
         "color": color,
     }
-
-
-def quaternion_from_z(normals: Tensor) -> Tensor:
-    """Unit quaternions (N, 4) wxyz that turn the z axis to `normals` (N, 3); a half turn about x for −z."""
-    require_finite("quaternion_from_z", normals=normals)
-    normals = functional.normalize(normals, dim=1)
-    x, y, z = normals.unbind(dim=1)
-    quaternion = torch.stack((1 + z, -y, x, torch.zeros_like(x)), dim=1)  # (1 + z·n, z × n)
-    opposite = (1 + z) < 1e-6
-    quaternion = torch.where(opposite[:, None], quaternion.new_tensor([0.0, 1.0, 0.0, 0.0]), quaternion)
-    return functional.normalize(quaternion, dim=1)

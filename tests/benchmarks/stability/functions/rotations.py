@@ -6,11 +6,9 @@ import math
 
 import numpy as np
 
-from stages.shared.avatar import deform
-from stages.shared.avatar.decoders.texel_attributes import quaternion_from_z
 from stages.shared.body import kinematics
 from stages.shared.capture.rotation import rotation_of_axis_angle
-from stages.shared.outfit.swap import slerp
+from stages.shared.quaternions import matrices_from_quaternions, quaternion_from_z, slerp, unit_quaternions
 from tests.benchmarks.stability.function import Function, Inputs, unit
 
 _ANGLES = (0.0, 1e-30, 1e-12, 1e-6, 1e-3, 1.0, math.pi - 1e-7, 2 * math.pi, 1e2, 1e4, 1e6, 1e20)
@@ -58,7 +56,7 @@ ROTATIONS = (
     ),
     Function(
         "unit_quaternions", "rotations", "length", _LENGTHS, _quaternions,
-        lambda a: deform.rotation_matrices(deform.unit_quaternions(a["quaternions"])),
+        lambda a: matrices_from_quaternions(unit_quaternions(a["quaternions"])),
         everyday=(1e-3, 1e12), tolerance=2e-6, gradients=("quaternions",), bfloat16=True,
     ),
     Function(

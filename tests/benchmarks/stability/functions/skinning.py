@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from stages.shared.avatar.deform import moved, rotation_matrices, unit_quaternions
+from stages.shared.avatar.deform import moved
 from stages.shared.body import (
     PARENTS,
     BodyModel,
@@ -24,6 +24,7 @@ from stages.shared.body import (
 )
 from stages.shared.body.inverse import inverse_skin
 from stages.shared.finite import finite
+from stages.shared.quaternions import matrices_from_quaternions, unit_quaternions
 from tests.benchmarks.stability.function import Function, Inputs, unit, weights
 
 _ANGLES = (0.0, 1e-12, 1e-3, 1.0, math.pi - 1e-7, 2 * math.pi, 1e3, 1e20)
@@ -97,7 +98,7 @@ def _ellipsoids(metres: float, random: np.random.Generator) -> Inputs:
 
 def _carried(a: dict[str, Any]) -> torch.Tensor:
     """Covariance and centre of Gaussians that a blended matrix carries, as `pose_layer` makes them."""
-    turned = rotation_matrices(unit_quaternions(a["quaternions"])) * a["scales"][:, None, :]
+    turned = matrices_from_quaternions(unit_quaternions(a["quaternions"])) * a["scales"][:, None, :]
     spread = a["matrices"][:, :, :3] @ turned
     covariance = (spread @ spread.transpose(1, 2)).flatten(1)
     return finite(torch.cat([covariance, moved(a["points"], a["matrices"])], dim=1), "pose_layer", **a)

@@ -17,7 +17,8 @@ import numpy as np
 
 from stages.shared.artifacts.pictures import encode_png
 from stages.shared.body import Poses, canonical_poses
-from stages.shared.capture.camera import Camera, checked_camera
+from stages.shared.capture.calibration import checked_camera
+from stages.shared.capture.camera import Camera
 from stages.shared.errors import UsageProblem
 from stages.shared.layers import SLOTS
 from stages.shared.outfit.cached_poser import CachedPoser

@@ -8,6 +8,7 @@ by the image size. Labels (`labels/CamNNN/label-fFFFFFF.png`), the entries `spli
 from __future__ import annotations
 
 import csv
+import io
 import math
 import re
 from pathlib import Path
@@ -16,17 +17,19 @@ from typing import Any
 import numpy as np
 
 from stages.shared.body.model import BodyModel
-from stages.shared.capture.camera import Camera, checked_camera
-from stages.shared.capture.gather import make_take, numbered_files, read_missing_list, read_poses, view_files
+from stages.shared.capture.calibration import checked_camera, positive_rate, refuse_unknown
+from stages.shared.capture.camera import Camera
+from stages.shared.capture.gather import MissingList, make_take, numbered_files, read_poses, view_files
 from stages.shared.capture.rotation import rotation_of_axis_angle
 from stages.shared.capture.take import Capture, Split, Take, ViewFiles
 from stages.shared.errors import BadData, MissingInput
-from stages.shared.input_files import read_json_object
+from stages.shared.input_files import read_json_object, read_text
 
 FORMAT = "actorshq"
 ACTORSHQ_FPS = 25.0
 _SCALES = ("4x", "2x", "1x")  # the smallest first: it is the one that published avatars were made from
 _COLUMNS = ("name", "w", "h", "rx", "ry", "rz", "tx", "ty", "tz", "fx", "fy", "px", "py")
+_MAX_TABLE_BYTES = 16 << 20
 _LABEL_FOLDERS = ("labels", "labels_color")
 _SCAN = re.compile(r"scan-f(\d+)\.(?:ply|obj)")
 # The views that avatars of this data set were trained on and judged by, used when all 160 cameras are there.
@@ -67,14 +70,13 @@ def _read_sequence(folder: Path, place: int, count: int, body: BodyModel | None)
     scene_path = sequence / "scene.json"
     scene = read_json_object(scene_path, "a description of the sequence") if scene_path.is_file() else {}
     cameras = read_calibration(folder / "calibration.csv")
-    missing = read_missing_list(folder)
+    missing = MissingList.read(folder)
     notes: list[str] = []
     seen = [name for name in cameras if _has_files(folder / "rgbs" / name)]
     training, heldout = _camera_split(scene, list(cameras), seen, scene_path, notes)
     views = {name: _views_of_camera(folder, name, missing) for name in (*training, *heldout)}
-    fps = scene.get("fps")
-    if fps is not None and (not isinstance(fps, int | float) or not 0 < fps < 1e5):
-        raise BadData("fps is not a positive number.", str(scene_path), "Write the frame rate as a number.")
+    notes += missing.notes()
+    fps = positive_rate(scene, "fps", str(scene_path))
     pose_paths = (folder / "smpl_params.npz", sequence / "smpl_params.npz")
     pose_path = next((path for path in pose_paths if path.is_file()), pose_paths[0])
     scan, scan_frame = _scan(sequence)
@@ -101,10 +103,10 @@ def read_calibration(path: Path) -> dict[str, Camera]:
     Raises:
         BadData: missing columns, text where numbers belong, NaN, no camera, a name twice.
     """
+    text = read_text(path, "a calibration", _MAX_TABLE_BYTES)
     try:
-        with path.open(newline="", encoding="utf-8-sig") as stream:
-            rows = list(csv.DictReader(stream, skipinitialspace=True))
-    except (csv.Error, UnicodeDecodeError) as error:
+        rows = list(csv.DictReader(io.StringIO(text, newline=""), skipinitialspace=True))
+    except csv.Error as error:
         raise BadData(
             f"The calibration is not a CSV table: {error}.", str(path), "Copy the file again."
         ) from error
@@ -120,6 +122,12 @@ def read_calibration(path: Path) -> dict[str, Camera]:
                 f"{path}, line {number}",
                 "Copy the file again.",
             )
+        refuse_unknown(
+            {key: _csv_value(value) for key, value in row.items()},
+            _COLUMNS,
+            f"{path}, line {number}",
+            "The row",
+        )
         name = row["name"].strip()
         if name in cameras or not re.fullmatch(r"[\w.-]{1,64}", name):
             raise BadData(
@@ -155,17 +163,27 @@ def _camera_of_row(name: str, row: dict[str, Any], where: str) -> Camera:
     return checked_camera(name, width, height, intrinsics, camera_from_world, where)
 
 
+def _csv_value(value: Any) -> Any:
+    """A number where the text is one; the text otherwise, and None for an empty cell."""
+    try:
+        return float(value) if value else None
+    except (TypeError, ValueError):
+        return value
+
+
 def _has_files(folder: Path) -> bool:
     return folder.is_dir() and next(folder.iterdir(), None) is not None
 
 
-def _views_of_camera(folder: Path, name: str, missing: set[Path]) -> dict[int, ViewFiles]:
+def _views_of_camera(folder: Path, name: str, missing: MissingList) -> dict[int, ViewFiles]:
     quoted = re.escape(name)
-    images = numbered_files(folder / "rgbs" / name, re.compile(rf"{quoted}_rgb(\d+)\.(?:jpg|jpeg|png)"))
-    masks = numbered_files(folder / "masks" / name, re.compile(rf"{quoted}_mask(\d+)\.(?:png|jpg)"))
+    images = numbered_files(folder / "rgbs" / name, re.compile(rf"{quoted}_rgb(\d+)\.(?:jpg|jpeg|png)", re.I))
+    masks = numbered_files(folder / "masks" / name, re.compile(rf"{quoted}_mask(\d+)\.(?:png|jpg)", re.I))
     labels: dict[int, Path] = {}
     for label_folder in _LABEL_FOLDERS:
-        labels = labels or numbered_files(folder / label_folder / name, re.compile(r"label-f(\d+)\.png"))
+        labels = labels or numbered_files(
+            folder / label_folder / name, re.compile(r"label-f(\d+)\.png", re.I)
+        )
     return view_files(images, masks, labels, missing)
 
 
@@ -182,6 +200,14 @@ def _camera_split(
                 str(scene_path),
                 "Take it out of the list, or add its row to calibration.csv.",
             )
+    listed = [name for names in given.values() for name in names]
+    if len(set(listed)) < len(listed):
+        twice = next(name for name in listed if listed.count(name) > 1)
+        raise BadData(
+            f"{twice} stands twice in train_cameras and heldout_cameras.",
+            str(scene_path),
+            "A camera is either for training or held out.",
+        )
     if "train_cameras" in given:
         return list(given["train_cameras"]), list(given.get("heldout_cameras", []))
     if set(_USUAL_TRAINING) <= set(seen):

@@ -17,15 +17,16 @@ from typing import Any, Final
 import numpy as np
 
 from stages.shared.body.model import BodyModel
-from stages.shared.capture.camera import Camera, checked_camera
-from stages.shared.capture.gather import make_take, numbered_files, read_missing_list, read_poses, view_files
+from stages.shared.capture.calibration import checked_camera, numbers, refuse_unknown
+from stages.shared.capture.camera import Camera
+from stages.shared.capture.gather import MissingList, make_take, numbered_files, read_poses, view_files
 from stages.shared.capture.take import Capture
 from stages.shared.errors import BadData
 from stages.shared.input_files import read_json_object
 
 USUAL_FPS: Final = 30.0
-_PICTURE: Final = re.compile(r"(\d+)\.(?:jpg|jpeg|png)")
-_LABELS: Final = re.compile(r"(\d+)\.png")
+_PICTURE: Final = re.compile(r"(\d+)\.(?:jpg|jpeg|png)", re.IGNORECASE)
+_LABELS: Final = re.compile(r"(\d+)\.png", re.IGNORECASE)
 _NAME: Final = re.compile(r"[\w.-]{1,64}")
 
 
@@ -47,7 +48,7 @@ class Layout:
         """The one take of the layout, for training."""
         calibration = root / self.calibration
         cameras = read_calibration_json(calibration)
-        missing = read_missing_list(root)
+        missing = MissingList.read(root)
         views = {
             name: view_files(
                 numbered_files(root / self.images.format(name), _PICTURE),
@@ -74,7 +75,7 @@ class Layout:
             pose_files=[pose_path],
             scan=scan,
             scan_frame=first if scan else None,
-            notes=["this layout knows no test motion and no held-out camera."],
+            notes=["this layout knows no test motion and no held-out camera.", *missing.notes()],
         )
         return Capture(root, self.name, (take,), body_model_path)
 
@@ -98,22 +99,23 @@ def read_calibration_json(path: Path) -> dict[str, Camera]:
             )
         if not isinstance(entry, dict):
             raise BadData(f"Camera {name} is no JSON object.", where, "Write K, R, T and imgSize.")
+        refuse_unknown(entry, ("K", "R", "T", "imgSize"), where, f"Camera {name}")
         width, height = _numbers(entry, "imgSize", 2, where)
         camera_from_world = np.eye(4)
         camera_from_world[:3, :3] = _numbers(entry, "R", 9, where).reshape(3, 3)
         camera_from_world[:3, 3] = _numbers(entry, "T", 3, where)
         intrinsics = _numbers(entry, "K", 9, where).reshape(3, 3)
-        cameras[name] = checked_camera(name, int(width), int(height), intrinsics, camera_from_world, where)
+        cameras[name] = checked_camera(name, width, height, intrinsics, camera_from_world, where)
     if not cameras:
         raise BadData("The calibration lists no camera.", str(path), "Copy the file again.")
     return cameras
 
 
 def _numbers(entry: dict[str, Any], key: str, count: int, where: str) -> np.ndarray:
-    try:
-        values = np.asarray(entry[key], dtype=np.float64).reshape(-1)
-    except (KeyError, ValueError, TypeError) as error:
-        raise BadData(f"{key} is missing or holds no numbers.", where, f"Write {count} numbers.") from error
+    array = numbers(entry.get(key))
+    if array is None:
+        raise BadData(f"{key} is missing or holds no numbers.", where, f"Write {count} numbers.")
+    values = array.reshape(-1)
     if len(values) != count or not np.isfinite(values).all():
         raise BadData(f"{key} is not {count} finite numbers.", where, f"Write {count} numbers.")
     return values

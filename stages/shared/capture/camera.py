@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stages.shared.errors import BadData
 from stages.shared.finite import require_finite
 
 if TYPE_CHECKING:
@@ -17,7 +16,6 @@ if TYPE_CHECKING:
 Matrix = NDArray[np.float64]
 Box = tuple[int, int, int, int]  # left, top, right, bottom in pixels; right and bottom are outside
 
-ROTATION_TOLERANCE = 1e-3
 MAX_SIDE = 65_536
 
 
@@ -117,40 +115,6 @@ class Camera:
             )
 
 
-def checked_camera(
-    name: str, width: int, height: int, intrinsics: ArrayLike, camera_from_world: ArrayLike, where: str
-) -> Camera:
-    """A camera out of a file, with every number looked at.
-
-    Raises:
-        BadData: NaN, sides out of range, focal length not positive, a matrix that is not a rotation.
-    """
-
-    def refuse(what: str) -> BadData:
-        return BadData(f"Camera {name}: {what}.", where, "Mend the calibration, or leave this camera out.")
-
-    try:
-        camera = Camera(
-            name,
-            int(width),
-            int(height),
-            np.asarray(intrinsics, dtype=np.float64),
-            np.asarray(camera_from_world, dtype=np.float64),
-        )
-    except (ValueError, TypeError, OverflowError) as error:
-        raise refuse(f"the calibration has the wrong shape ({error})") from error
-    if not (np.isfinite(camera.intrinsics).all() and np.isfinite(camera.camera_from_world).all()):
-        raise refuse("the calibration contains NaN or infinity")
-    if not (0 < camera.width <= MAX_SIDE and 0 < camera.height <= MAX_SIDE):
-        raise refuse(f"an image of {camera.width} x {camera.height} pixels")
-    if camera.intrinsics[0, 0] <= 0 or camera.intrinsics[1, 1] <= 0:
-        raise refuse("a focal length is not positive")
-    if not np.allclose(camera.intrinsics[2], [0, 0, 1], atol=1e-9):
-        raise refuse("the last row of the intrinsics is not 0 0 1")
-    rotation = camera.camera_from_world[:3, :3]
-    off = np.abs(rotation @ rotation.T - np.eye(3)).max()
-    if off > ROTATION_TOLERANCE or np.linalg.det(rotation) < 0:
-        raise refuse(
-            f"its matrix is no rotation (off by {off:.2g}, determinant {np.linalg.det(rotation):.3g})"
-        )
-    return camera
+def rotation_error(matrix: Matrix) -> tuple[float, float]:
+    """How far (3, 3) is from a rotation: the largest entry of |R Rᵀ − 1|, and its determinant."""
+    return float(np.abs(matrix @ matrix.T - np.eye(3)).max()), float(np.linalg.det(matrix))

@@ -15,11 +15,12 @@ import numpy as np
 from stages.shared.body.model import BodyModel
 from stages.shared.body.npz import NumericNpz
 from stages.shared.body.poses import Poses
-from stages.shared.capture.camera import Camera, checked_camera
+from stages.shared.capture.calibration import checked_camera, refuse_unknown
+from stages.shared.capture.camera import Camera
 from stages.shared.capture.gather import make_take, numbered_files, view_files
+from stages.shared.capture.image_files import check_picture
 from stages.shared.capture.images import read_bytes
 from stages.shared.capture.pickles import PickleReader, array_of, dictionary
-from stages.shared.capture.png import check_picture
 from stages.shared.capture.take import Capture, Split, Take
 from stages.shared.errors import BadData, MissingInput, UsageProblem
 from stages.shared.poses.npz_layouts import read_pose_arrays
@@ -137,6 +138,7 @@ def _camera(name: str, entry: Any, image: Path, path: Path) -> Camera:
     where = f"{path}: camera {name}"
     if not isinstance(entry, dict) or not {"intrinsics", "extrinsics"} <= set(entry):
         raise BadData(f"Camera {name} lacks intrinsics or extrinsics.", where, "Get the file again.")
+    refuse_unknown(entry, ("intrinsics", "extrinsics"), where, f"Camera {name}")
     width, height = check_picture(read_bytes(image), image)
     return checked_camera(name, width, height, entry["intrinsics"], entry["extrinsics"], where)
 

@@ -16,6 +16,7 @@ from stages.shared.body.skeleton import EXPRESSION_COUNT, JOINT_COUNT, SHAPE_COU
 from stages.shared.capture.camera import Camera
 from stages.shared.capture.take import Split, Take, ViewFiles
 from stages.shared.errors import BadData, MissingInput
+from stages.shared.input_files import read_text
 from stages.shared.poses.npz_layouts import read_pose_arrays, stated_fps
 
 MISSING_LIST = "missing_img_files.txt"
@@ -44,28 +45,56 @@ def numbered_files(folder: Path, pattern: re.Pattern[str]) -> dict[int, Path]:
     return found
 
 
+class MissingList:
+    """Images and masks that `missing_img_files.txt` says are not there or not to be used.
+
+    Attributes:
+        listed: path to whether a file of that path was left out.
+    """
+
+    def __init__(self, path: Path, listed: Iterable[Path] = ()) -> None:
+        self._path = path
+        self.listed = dict.fromkeys(listed, False)
+
+    @classmethod
+    def read(cls, folder: Path) -> MissingList:
+        """The list in a folder, one path a line, relative to the folder; it may be absent."""
+        path = folder / MISSING_LIST
+        if not path.is_file():
+            return cls(path)
+        lines = read_text(path, "a list of images", errors="replace").splitlines()
+        names = (line.strip().replace("\\", "/") for line in lines)
+        return cls(path, [folder / name for name in names if name and not name.startswith("#")])
+
+    def leaves_out(self, *paths: Path) -> bool:
+        """Whether one of the files is listed."""
+        here = [path for path in paths if path in self.listed]
+        self.listed.update(dict.fromkeys(here, True))
+        return bool(here)
+
+    def notes(self) -> list[str]:
+        """A sentence about entries that no file was left out for; call it when all views were asked for."""
+        unmatched = [path.name for path, met in self.listed.items() if not met]
+        if not unmatched:
+            return []
+        return [
+            f"{len(unmatched)} of {len(self.listed)} entries of {MISSING_LIST} match no image with a mask, "
+            f"such as {unmatched[0]}."
+        ]
+
+
 def view_files(
     images: Mapping[int, Path],
     masks: Mapping[int, Path],
     labels: Mapping[int, Path],
-    without: Iterable[Path] = (),
+    missing: MissingList | None = None,
 ) -> dict[int, ViewFiles]:
-    """The views of one camera that have both image and mask, less those listed in `without`."""
-    listed = set(without)
+    """The views of one camera that have both image and mask, less those that are listed as missing."""
     return {
         frame: ViewFiles(image, masks[frame], labels.get(frame))
         for frame, image in images.items()
-        if frame in masks and image not in listed
+        if frame in masks and (missing is None or not missing.leaves_out(image, masks[frame]))
     }
-
-
-def read_missing_list(folder: Path) -> set[Path]:
-    """Images that `missing_img_files.txt` says are not there or not to be used; no such file is fine."""
-    path = folder / MISSING_LIST
-    if not path.is_file():
-        return set()
-    text = path.read_text(encoding="utf-8", errors="replace")
-    return {folder / line.strip() for line in text.splitlines() if line.strip() and not line.startswith("#")}
 
 
 def read_poses(path: Path, body: BodyModel | None, fps: float | None, usual_fps: float) -> Poses | float:

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.shared.capture.png import check_picture, damaged
-from stages.shared.errors import BadData, MissingInput, StorageFailure
+from stages.shared.capture.image_files import check_jpeg_data, check_picture, damaged
+from stages.shared.errors import BadData
+from stages.shared.input_files import read_input
 
 Image = NDArray[np.uint8]
+
+_MAX_FILE_BYTES = 256 << 20
 
 
 def read_image(path: Path) -> Image:
@@ -26,52 +30,59 @@ def read_image(path: Path) -> Image:
 
 
 def read_mask(path: Path) -> Image:
-    """Coverage (H, W) u8, 0 outside to 255 inside: the first channel of the file.
+    """Coverage (H, W) u8, 0 outside to 255 inside.
 
-    Masks stored as 0 and 1 are stretched to 0 and 255.
+    It is the alpha channel where the file has one that is not constant, else the first channel. Masks stored
+    as 0 and 1 are stretched to 0 and 255; 16-bit masks are read by their values where none is above 255,
+    else scaled.
 
     Raises:
         MissingInput: there is no such file.
         BadData: not a whole PNG or JPEG.
     """
-    image = decode(read_bytes(path), path)
-    if image.ndim == 3:
+    image = decode_as_stored(read_bytes(path), path)
+    if image.ndim == 3 and image.shape[2] == 4 and image[..., 3].min() < image[..., 3].max():
+        image = image[..., 3]
+    elif image.ndim == 3:
         image = image[..., 2]  # OpenCV keeps red last
-    mask = np.ascontiguousarray(image)
-    if mask.size and mask.max() == 1:
+    if image.dtype == np.uint16:
+        image = image if image.max(initial=0) <= 255 else np.right_shift(image, 8)
+    mask = np.ascontiguousarray(image, dtype=np.uint8)
+    if mask.max(initial=0) == 1:
         mask = mask * np.uint8(255)
     return mask
 
 
 def read_bytes(path: Path) -> bytes:
     """A file's content, with errors that name it."""
-    try:
-        return path.read_bytes()
-    except (FileNotFoundError, NotADirectoryError, IsADirectoryError) as error:
-        raise MissingInput(
-            "An image of the capture is not there.", str(path), "Copy the capture again."
-        ) from error
-    except OSError as error:
-        raise StorageFailure(
-            f"Reading failed: {error.strerror}.", str(path), "Check the disk and the permissions."
-        ) from error
+    return read_input(path, "an image of the capture", _MAX_FILE_BYTES)
 
 
 def decode(
     data: bytes, path: Path, mode: int = cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION
 ) -> Image:
     """Pixels of a PNG or JPEG in OpenCV's channel order, 8 bits a channel: (H, W) or (H, W, 3 or 4) u8."""
+    image = decode_as_stored(data, path, mode)
+    pixels = np.right_shift(image, 8) if image.dtype == np.uint16 else image
+    return pixels.astype(np.uint8, copy=False)
+
+
+def decode_as_stored(
+    data: bytes, path: Path, mode: int = cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION
+) -> NDArray[np.uint8] | NDArray[np.uint16]:
+    """As `decode`, with the 8 or 16 bits a channel that the file has."""
     width, height = check_picture(data, path)
+    check_jpeg_data(data, path)
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), mode)
     except cv2.error as error:
         raise damaged(path, f"it cannot be decoded ({error.err})") from error
     if image is None or image.shape[:2] != (height, width):
         raise damaged(path, "it cannot be decoded")
-    pixels = np.right_shift(image, 8) if image.dtype == np.uint16 else image
-    if pixels.ndim == 3 and pixels.shape[2] == 1:
-        pixels = pixels[..., 0]
-    return pixels.astype(np.uint8, copy=False)
+    if image.dtype not in (np.uint8, np.uint16):
+        raise damaged(path, f"its pixels are {image.dtype}")
+    pixels: NDArray[Any] = image[..., 0] if image.ndim == 3 and image.shape[2] == 1 else image
+    return pixels
 
 
 def check_size(image: Image, width: int, height: int, path: Path) -> Image:

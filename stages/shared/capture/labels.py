@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.shared.capture.images import decode, read_bytes
-from stages.shared.capture.png import palette_as_grey
+from stages.shared.capture.image_files import PNG_MAGIC, bits_of_png, palette_as_grey
+from stages.shared.capture.images import decode, decode_as_stored, read_bytes
 from stages.shared.errors import BadData
 from stages.shared.layers import LABEL_COLORS, LABELS, label_legend
 
@@ -26,9 +26,18 @@ def read_labels(path: Path) -> _Image:
         BadData: damaged file, or ids or colours that are no label (named).
     """
     data = read_bytes(path)
+    if bits_of_png(data) < 8 or not data.startswith(PNG_MAGIC):
+        # Decoders spread less than 8 bits over 0 to 255, and JPEG changes values: ids would not be ids.
+        raise BadData(
+            f"A label image of {bits_of_png(data)} bits a pixel."
+            if data.startswith(PNG_MAGIC)
+            else "A label image that is not PNG.",
+            str(path),
+            "Save label images as PNG with 8 or 16 bits a pixel.",
+        )
     grey, palette = palette_as_grey(data, path)
     if palette is None:
-        image = decode(data, path)
+        image = _eight_bits(decode_as_stored(data, path), path)
         ids = _ids_of_colors(image) if image.ndim == 3 else image
     else:
         indices = decode(grey, path)
@@ -51,6 +60,20 @@ def read_labels(path: Path) -> _Image:
             f"Use ids {label_legend()}, or the colours of 4D-DRESS.",
         )
     return ids
+
+
+def _eight_bits(image: NDArray[np.uint8] | NDArray[np.uint16], path: Path) -> _Image:
+    """Ids and colours of a 16-bit image: ids as they are, colours scaled where they are multiples of 257."""
+    if image.dtype == np.uint8:
+        return image.astype(np.uint8, copy=False)
+    largest = int(image.max(initial=0))
+    if largest > 255 and (image.ndim == 2 or (image % 257).any()):
+        raise BadData(
+            f"The label image uses ids up to {largest}, which mean nothing here.",
+            str(path),
+            f"Use ids {label_legend()}, or the colours of 4D-DRESS.",
+        )
+    return (image // 257 if largest > 255 else image).astype(np.uint8)
 
 
 def _ids_of_colors(bgr: _Image) -> _Image:

@@ -8,8 +8,15 @@ from typing import Any, Final
 
 from stages.shared.body.model import BodyModel
 from stages.shared.body.poses import DEFAULT_FPS
-from stages.shared.capture.camera import Camera, checked_camera
-from stages.shared.capture.gather import make_take, numbered_files, read_missing_list, read_poses, view_files
+from stages.shared.capture.calibration import (
+    checked_camera,
+    positive_rate,
+    refuse_unknown,
+    truth_value,
+    whole_number,
+)
+from stages.shared.capture.camera import Camera
+from stages.shared.capture.gather import MissingList, make_take, numbered_files, read_poses, view_files
 from stages.shared.capture.take import Capture, Take
 from stages.shared.errors import BadData
 from stages.shared.input_files import read_json_object
@@ -18,7 +25,8 @@ FORMAT: Final = "native"
 FORMAT_MARK: Final = "gw-capture"
 FORMAT_VERSION: Final = 1
 NAME: Final = re.compile(r"[A-Za-z0-9][\w.-]{0,63}")
-_FRAME: Final = re.compile(r"(\d+)\.(?:png|jpg|jpeg)")
+_CAMERA_FIELDS: Final = ("name", "width", "height", "intrinsics", "camera_from_world", "held_out")
+_FRAME: Final = re.compile(r"(\d+)\.(?:png|jpg|jpeg)", re.IGNORECASE)
 
 
 def is_native(root: Path) -> bool:
@@ -46,6 +54,13 @@ def open_native(root: Path, body: BodyModel | None, body_model_path: Path | None
     takes = description.get("takes")
     if not isinstance(takes, list) or not takes:
         raise BadData("capture.json lists no takes.", str(path), "Add an entry to takes.")
+    refuse_unknown(description, ("format", "version", "takes", "about"), str(path), "The capture")
+    names = [
+        entry["name"] for entry in takes if isinstance(entry, dict) and isinstance(entry.get("name"), str)
+    ]
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise BadData(f"Two takes are called {twice[:64]!r}.", f"{path}: takes", "List every take once.")
     shared = root / "cameras.json"
     return Capture(
         root, FORMAT, tuple(_read_take(root, entry, shared, path, body) for entry in takes), body_model_path
@@ -61,28 +76,26 @@ def _read_take(root: Path, entry: Any, shared: Path, path: Path, body: BodyModel
         raise BadData(
             "A take has no usable name.", f"{path}: takes", "Use letters, digits, dot, dash, underscore."
         )
-    name, split, fps = entry["name"], entry.get("split", "train"), entry.get("fps")
+    where = f"{path}: take {entry['name']}"
+    refuse_unknown(entry, ("name", "split", "fps", "scan_frame"), where, "The take")
+    name, split, fps = entry["name"], entry.get("split", "train"), positive_rate(entry, "fps", where)
     if split not in ("train", "test"):
         raise BadData(f"split is {split!r}.", f"{path}: take {name}", 'Write "train" or "test".')
-    if fps is not None and (not isinstance(fps, int | float) or not 0 < fps < 1e5):
-        raise BadData(
-            "fps is not a positive number.", f"{path}: take {name}", "Write the frame rate as a number."
-        )
     folder = root / "takes" / name
     camera_path = folder / "cameras.json" if (folder / "cameras.json").is_file() else shared
     cameras, heldout = read_cameras(camera_path)
-    missing = read_missing_list(folder)
+    missing = MissingList.read(folder)
     views = {
         camera: view_files(
             numbered_files(folder / "rgb" / camera, _FRAME),
             numbered_files(folder / "masks" / camera, _FRAME),
-            numbered_files(folder / "labels" / camera, re.compile(r"(\d+)\.png")),
+            numbered_files(folder / "labels" / camera, re.compile(r"(\d+)\.png", re.IGNORECASE)),
             missing,
         )
         for camera in cameras
     }
-    scan_frame = entry.get("scan_frame", 0)
-    if not isinstance(scan_frame, int) or scan_frame < 0:
+    scan_frame = whole_number(entry.get("scan_frame", 0))
+    if scan_frame is None or scan_frame < 0:
         raise BadData(
             "scan_frame is not a frame number.",
             f"{path}: take {name}",
@@ -104,6 +117,7 @@ def _read_take(root: Path, entry: Any, shared: Path, path: Path, body: BodyModel
         pose_files=[folder / "smpl_params.npz"],
         scan=scan,
         scan_frame=scan_frame if scan else None,
+        notes=missing.notes(),
     )
 
 
@@ -114,7 +128,9 @@ def read_cameras(path: Path) -> tuple[dict[str, Camera], frozenset[str]]:
         MissingInput: no such file.
         BadData: entries missing or of the wrong shape, NaN, matrices that are no rotation.
     """
-    entries = read_json_object(path, "a description of the capture").get("cameras")
+    content = read_json_object(path, "a calibration")
+    refuse_unknown(content, ("cameras", "about"), str(path), "The calibration")
+    entries = content.get("cameras")
     if not isinstance(entries, list) or not entries:
         raise BadData("cameras.json lists no cameras.", str(path), "Add an entry to cameras.")
     cameras: dict[str, Camera] = {}
@@ -135,9 +151,10 @@ def read_cameras(path: Path) -> tuple[dict[str, Camera], frozenset[str]]:
         lacking = [key for key in ("width", "height", "intrinsics", "camera_from_world") if key not in entry]
         if lacking:
             raise BadData(f"Camera {name} lacks {lacking[0]}.", where, "Write the whole calibration.")
+        refuse_unknown(entry, _CAMERA_FIELDS, where, f"Camera {name}")
         cameras[name] = checked_camera(
             name, entry["width"], entry["height"], entry["intrinsics"], entry["camera_from_world"], where
         )
-        if entry.get("held_out", False):
+        if truth_value(entry, "held_out", where):
             heldout.add(name)
     return cameras, frozenset(heldout)

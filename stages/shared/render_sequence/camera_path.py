@@ -25,10 +25,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
-from stages.shared.capture.camera import Camera, checked_camera
+from stages.shared.capture.calibration import checked_camera, refuse_unknown
+from stages.shared.capture.camera import Camera
 from stages.shared.errors import BadData
 from stages.shared.input_files import read_json
 
+_CAMERA_FIELDS = ("width", "height", "intrinsics", "camera_from_world")
 FORMAT = "gw-camera-path"
 _FIELD_OF_VIEW = 30.0
 _LARGEST_FILE = 64 << 20
@@ -120,6 +122,7 @@ def _given_camera(entry: dict[str, Any], index: int, path: Path) -> Camera:
         numbers = entry["width"], entry["height"], entry["intrinsics"], entry["camera_from_world"]
     except KeyError as error:
         raise _refused(f"camera {index} has no {error}", path) from error
+    refuse_unknown(entry, _CAMERA_FIELDS, str(path), f"Camera {index}")
     camera = checked_camera(f"{index}", *numbers, str(path))
     return Camera("path", camera.width, camera.height, camera.intrinsics, camera.camera_from_world)
 

@@ -4,7 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from stages.shared.capture.camera import Camera, checked_camera
+from stages.shared.capture.calibration import checked_camera
+from stages.shared.capture.camera import Camera
 from stages.shared.errors import BadData
 from tests.shared.capture.scene import ring
 

@@ -16,6 +16,9 @@ PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 JPEG_MAGIC = b"\xff\xd8\xff"
 MAX_PIXELS = 64_000_000
 _PALETTE_TYPE = 3
+_EXIF = b"Exif\x00\x00"
+_ORIENTATION_TAG = 0x0112
+_whole_files: set[tuple[str, int, int]] = set()  # JPEG files of this process that were found whole
 # Start-of-frame markers; C4, C8 and CC share the range but mean other things.
 _JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 
@@ -24,7 +27,8 @@ def check_picture(data: bytes, path: Path) -> tuple[int, int]:
     """Width and height of a whole PNG or JPEG of a bearable size.
 
     Raises:
-        BadData: another format, cut short, a wrong checksum, more than 64 million pixels.
+        BadData: another format, cut short, a wrong checksum, an EXIF orientation other than upright, more
+            than 64 million pixels.
     """
     if data.startswith(PNG_MAGIC):
         width, height = _check_png(data, path)
@@ -35,6 +39,15 @@ def check_picture(data: bytes, path: Path) -> tuple[int, int]:
             "This is neither a PNG nor a JPEG image.",
             str(path),
             "Convert it to PNG (masks and labels) or JPEG.",
+        )
+    orientation = _orientation(data, path)
+    if orientation != 1:
+        raise BadData(
+            f"The image is stored turned or mirrored (EXIF orientation {orientation}). Programs disagree on "
+            "showing it upright, so that calibration and masks may mean either.",
+            str(path),
+            "Save the pixels upright and without the tag, with masks and calibration alike, for example with "
+            "mogrify -auto-orient.",
         )
     if width < 1 or height < 1 or width * height > MAX_PIXELS:
         raise BadData(
@@ -75,6 +88,35 @@ def palette_as_grey(data: bytes, path: Path) -> tuple[bytes, NDArray[np.uint8] |
     if palette is None:
         raise damaged(path, "its palette is missing")
     return b"".join(pieces), palette
+
+
+def check_jpeg_data(data: bytes, path: Path) -> None:
+    """Refuse a JPEG whose compressed data is damaged or ends early though its end marker is there.
+
+    The decoder of OpenCV fills what is missing with grey and prints a warning that a program cannot see.
+    The one of FFmpeg can be told to fail. Other files are passed over, and a file is looked at once.
+    """
+    if not data.startswith(JPEG_MAGIC):
+        return
+    key = str(path), len(data), zlib.crc32(data)
+    if key in _whole_files:
+        return
+    import av  # loads FFmpeg
+
+    decoder = av.CodecContext.create("mjpeg", "r")
+    decoder.options = {"err_detect": "explode"}
+    try:
+        decoder.decode(av.Packet(data))
+    except av.error.InvalidDataError as error:
+        raise damaged(path, "its compressed data is broken or ends early") from error
+    except av.error.FFmpegError:
+        pass  # a kind of JPEG that FFmpeg does not know; OpenCV decides
+    _whole_files.add(key)
+
+
+def bits_of_png(data: bytes) -> int:
+    """Bits per channel that the header of a PNG states; 8 for other files."""
+    return data[24] if data.startswith(PNG_MAGIC) and len(data) > 24 else 8
 
 
 def damaged(path: Path, reason: str) -> BadData:
@@ -124,18 +166,53 @@ def _chunk(kind: bytes, body: bytes) -> bytes:
 def _check_jpeg(data: bytes, path: Path) -> tuple[int, int]:
     if b"\xff\xd9" not in data[-4096:]:
         raise damaged(path, "it ends early (no end marker)")
+    for marker, segment in _segments(data):
+        if marker in _JPEG_FRAMES and len(segment) >= 5:
+            height, width = struct.unpack_from(">HH", segment, 1)
+            return width, height
+    raise damaged(path, "no frame header was found")
+
+
+def _orientation(data: bytes, path: Path) -> int:
+    """EXIF orientation of a PNG or JPEG, 1 (upright) where none is stated."""
+    if data.startswith(PNG_MAGIC):
+        return next((_exif_orientation(body) for kind, body in _chunks(data, path) if kind == b"eXIf"), 1)
+    for marker, segment in _segments(data):
+        if marker == 0xE1 and segment.startswith(_EXIF):
+            return _exif_orientation(segment[len(_EXIF) :])
+    return 1
+
+
+def _segments(data: bytes) -> Iterator[tuple[int, bytes]]:
+    """Marker and content of the segments of a JPEG up to its image data."""
     position = 2
-    while position + 4 <= len(data):
-        if data[position] != 0xFF:
-            break
+    while position + 4 <= len(data) and data[position] == 0xFF:
         marker = data[position + 1]
         if marker == 0xFF or 0xD0 <= marker <= 0xD8 or marker == 0x01:
             position += 1 if marker == 0xFF else 2
             continue
-        if marker in _JPEG_FRAMES and position + 9 <= len(data):
-            height, width = struct.unpack_from(">HH", data, position + 5)
-            return width, height
         if marker in (0xDA, 0xD9):
+            return
+        length = struct.unpack_from(">H", data, position + 2)[0]
+        yield marker, data[position + 4 : position + 2 + length]
+        position += 2 + length
+
+
+def _exif_orientation(exif: bytes) -> int:
+    """The orientation in a TIFF header with its first directory; 1 where it cannot be read."""
+    order = {b"II": "<", b"MM": ">"}.get(exif[:2])
+    if order is None or len(exif) < 8:
+        return 1
+    (start,) = struct.unpack_from(order + "I", exif, 4)
+    if start + 2 > len(exif):
+        return 1
+    (count,) = struct.unpack_from(order + "H", exif, start)
+    for entry in range(min(count, 512)):
+        place = start + 2 + 12 * entry
+        if place + 12 > len(exif):
             break
-        position += 2 + struct.unpack_from(">H", data, position + 2)[0]
-    raise damaged(path, "no frame header was found")
+        tag, kind = struct.unpack_from(order + "HH", exif, place)
+        if tag == _ORIENTATION_TAG:
+            value = struct.unpack_from(order + ("H" if kind == 3 else "I"), exif, place + 8)[0]
+            return int(value) if 1 <= value <= 8 else 1
+    return 1

@@ -28,6 +28,7 @@ COMMANDS: tuple[str, ...] = (
     "bake_maps",
     "train",
     "distill",
+    "fit_cloth",
     "export_garment",
     "inspect",
     "wardrobe",

@@ -16,7 +16,12 @@ TRAIN = StageSpec("train", "gw train SUBJECT", ("register-template", "bake-maps"
 DISTILL = StageSpec(
     "distill", "gw distill SUBJECT", ("register-template", "bake-maps", "train"), code_version=2
 )
+FIT_CLOTH = StageSpec(
+    "fit-cloth",
+    "gw fit-cloth SUBJECT",
+    ("register-template", "segment-layers", "bake-maps", "train"),
+)
 
 PIPELINE: tuple[StageSpec, ...] = (REGISTER_TEMPLATE, CANONICALIZE, SEGMENT_LAYERS, BAKE_MAPS, TRAIN)
-OPTIONAL: tuple[StageSpec, ...] = (DISTILL,)
+OPTIONAL: tuple[StageSpec, ...] = (DISTILL, FIT_CLOTH)
 BY_NAME = {spec.name: spec for spec in PIPELINE + OPTIONAL}

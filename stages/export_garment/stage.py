@@ -3,10 +3,11 @@
 Reads:
     register-template: `body.safetensors` body model; `smpl_params.npz` betas and poses.
     bake-maps: `<layer>.safetensors`. train, or distill: `<layer>.safetensors`, `model.json`.
+    fit-cloth, when it has run: `<layer>.safetensors`, `cloth.json`.
 Writes:
     one `.gwg` file: maps, model, betas, joints, preview; a body also its body model and what its covered skin
     is when bare; a garment also the form of the source's body beneath it (offsets (K,3) m and quaternions
-    (K,4) per covered texel). No dates, no paths: two exports of the same training are the same bytes.
+    (K,4) per covered texel), and its simulation mesh, pins and material. No dates, no paths: two exports of the same training are the same bytes.
 """
 
 from __future__ import annotations
@@ -86,6 +87,8 @@ def run(
     arrays = {f"maps/{name}": array for name, array in layer.maps.arrays().items()}
     arrays |= {f"model/{name}": tensor.numpy() for name, tensor in layer.model.state().items()}
     arrays |= _about_body(config, source, names, layer, body, poses)
+    if layer.cloth is not None:
+        arrays |= {f"cloth/{name}": array for name, array in layer.cloth.arrays().items()}
     arrays["preview"] = preview_picture(layer, config.preview_size)
     manifest = _manifest(config, layer, source, body.digest)
     digest = write_bundle(
@@ -226,4 +229,12 @@ def _manifest(
         "costs": costs(layer.model),
         **_unobserved(layer.model),
         "note": config.note,
+        **_cloth_entry(layer),
     }
+
+
+def _cloth_entry(layer: WornLayer) -> dict[str, Any]:
+    """Material and default driver of a garment that can be simulated."""
+    if layer.cloth is None:
+        return {}
+    return {"cloth": {"material": layer.cloth.material.to_json(), "drive": layer.drive}}

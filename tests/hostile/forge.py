@@ -26,7 +26,7 @@ def forged_parts(arrays: dict[str, np.ndarray], manifest: dict[str, Any]) -> byt
         array = np.ascontiguousarray(array)
         mark = f"{array.dtype.newbyteorder('<').str} {list(array.shape)} ".encode()
         tensors[name] = {"sha256": digest(mark + array.tobytes())}
-    schema = {"name": "gwg", "major": 1, "minor": 1}
+    schema = {"name": "gwg", "major": 1, "minor": 2}
     content = {"schema": schema, **manifest, "tensors": tensors}
     text = canonical_json(json.loads(json.dumps(content).replace("Infinity", str(_INFINITE))))
     text = text.replace(json.dumps(_INFINITE).encode(), b"1e400")

@@ -25,7 +25,7 @@ from stages.shared.artifacts.canonical import canonical_json, digest, plain, str
 from stages.shared.artifacts.files import write_whole
 from stages.shared.errors import BadData, MissingInput, StorageFailure
 
-SCHEMA = {"name": "gwg", "major": 1, "minor": 1}
+SCHEMA = {"name": "gwg", "major": 1, "minor": 2}
 MAX_FILE_BYTES = 512 << 20
 MAX_HEADER_BYTES = 1 << 20
 MAX_TENSORS = 1024  # three full-size networks have 666
@@ -35,7 +35,7 @@ MAX_TEXT = 4096
 MAX_DEPTH = 16
 _DTYPES = ("F32", "F16", "I32", "U8")
 _MANIFEST, _SEAL = "gwg", "gwg_sha256"
-_NAME = re.compile(r"(?:maps|model|swap|skin|body)/[A-Za-z0-9_.]{1,120}|preview|betas|joints")
+_NAME = re.compile(r"(?:maps|model|swap|skin|body|cloth)/[A-Za-z0-9_.]{1,120}|preview|betas|joints")
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ class Bundle:
     Attributes:
         manifest: plain JSON; what it must say is in `bundle_content.py`. Schema and tensor digests are added
             on writing.
-        arrays: name to array: `maps/…`, `model/…`, `swap/…`, `skin/…`, `body/…`, `betas`,
+        arrays: name to array: `maps/…`, `model/…`, `swap/…`, `skin/…`, `body/…`, `cloth/…`, `betas`,
             `joints`, `preview`.
         digest: SHA-256 of the manifest with all tensor digests: names the content. Empty until written.
     """

@@ -10,6 +10,7 @@ Manifest:
     model           configuration of the layer's model
     training        configuration and scores, as trained
     note            a text
+    cloth           (garment, since 1.2) material of the simulation mesh and the default driver
 Arrays (N texels; since 1.1 f16 may stand for f32 where `bundle_precision.py` says so):
     maps/texels (N,3) i32 view (even front, odd back), row, column · maps/window (4,) i32
     maps/neighbours (N,4) i32 · maps/seams (S,2) i32
@@ -23,6 +24,7 @@ Arrays (N texels; since 1.1 f16 may stand for f32 where `bundle_precision.py` sa
     skin/covered (N,), skin/offsets (N,3) m, skin/colors (N,3) f32
                     (body, since 1.1) how much clothes covered each texel; what it is where nothing does
     body/…          (body) the body model's arrays
+    cloth/…         (garment, since 1.2) a simulation mesh, see `bundle_cloth.py`
     preview (H,W,3) u8 sRGB
 """
 
@@ -34,6 +36,7 @@ from typing import Any
 import numpy as np
 
 from stages.shared.artifacts.arrays import Arrays
+from stages.shared.artifacts.bundle_cloth import check_cloth_entry, check_cloth_layout, check_cloth_values
 from stages.shared.artifacts.bundle_model import check_model
 from stages.shared.artifacts.bundle_precision import may_be_half
 from stages.shared.errors import BadData
@@ -101,6 +104,10 @@ def check_manifest(manifest: dict[str, Any], where: str) -> None:
     if manifest["model"].get("layer", layer) != layer:
         raise _bad(f"its model is that of another layer than {layer}", where)
     _check_training(manifest, where)
+    if "cloth" in manifest:
+        if kind == "body":
+            raise _bad("a body carries a simulation mesh", where)
+        check_cloth_entry(manifest["cloth"], where)
 
 
 def _check_training(manifest: dict[str, Any], where: str) -> None:
@@ -159,12 +166,19 @@ def check_layout(manifest: dict[str, Any], layout: Layout, where: str) -> None:
     if "skin" in groups:
         for name, (tail, _, _) in _SKIN.items():
             _expect(f"skin/{name}", layout, (count, *tail), "f", where)
+    if ("cloth" in groups) != ("cloth" in manifest):
+        raise _bad("its manifest and its tensors disagree about a simulation mesh", where)
+    if "cloth" in groups:
+        cloth = {
+            name.removeprefix("cloth/"): entry for name, entry in layout.items() if name.startswith("cloth/")
+        }
+        check_cloth_layout(cloth, count, where)
     known = {f"maps/{name}" for name in (*ARRAYS, *OTHER_ARRAYS)} | {"betas", "preview", "joints"}
     known |= {f"skin/{name}" for name in _SKIN}
     known |= {f"swap/{name}" for name in ("texels", "offsets", "quaternions")}
     known |= {f"body/{name}" for name in (*_BODY, *_BODY_OPTIONAL)}
     for name in layout:
-        if name not in known and not name.startswith("model/"):
+        if name not in known and not name.startswith(("model/", "cloth/")):
             raise _bad("a tensor has a name that means nothing", where, name)
 
 
@@ -207,6 +221,9 @@ def check_arrays(manifest: dict[str, Any], arrays: Arrays, where: str) -> None:
     if "skin/covered" in arrays:
         for name, (_, low, high) in _SKIN.items():
             _check_range(arrays, f"skin/{name}", low, high, where)
+    if "cloth/faces" in arrays:
+        cloth = {name.removeprefix("cloth/"): a for name, a in arrays.items() if name.startswith("cloth/")}
+        check_cloth_values(cloth, where)
     if "joints" in arrays and np.abs(arrays["joints"]).max() > BOX:
         raise _bad(f"a joint is farther than {BOX} m from the origin", where, "joints")
 

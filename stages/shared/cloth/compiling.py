@@ -13,7 +13,7 @@ from typing import Any
 
 from numba import njit
 
-_KERNEL_FILES = ("compiling.py", "contact.py", "kernels.py")
+_KERNEL_FILES = ("compiling.py", "contact.py", "kernels.py", "riding_kernel.py")
 
 
 def _digest() -> str:

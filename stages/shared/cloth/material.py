@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 
-from stages.shared.errors import BadData
+from stages.shared.artifacts.bundle_cloth import MATERIAL_RANGES, check_material
 
 STRAIN_LIMIT = 1.3  # no edge becomes longer than this times its rest length
 
@@ -50,38 +50,14 @@ class Material:
         Raises:
             BadData: a value is missing, unknown, negative, not finite or far beyond any cloth.
         """
-        names = {field.name for field in fields(cls)}
-        if not isinstance(values, dict) or set(values) != names:
-            raise _bad(f"A cloth material has the values {', '.join(sorted(names))}.", where)
-        for name, (least, most) in _RANGES.items():
-            value = values[name]
-            if isinstance(value, bool) or not isinstance(value, int | float) or not least <= value <= most:
-                raise _bad(f"{name} is {value!r}; it lies between {least:g} and {most:g}.", where)
-        if not isinstance(values["balanced"], bool):
-            raise _bad(f"balanced is {values['balanced']!r}; it is true or false.", where)
-        numbers = {name: float(values[name]) for name in _RANGES}
+        check_material(values, where)
+        assert isinstance(values, dict)
+        numbers = {name: float(values[name]) for name in MATERIAL_RANGES}
         return cls(balanced=values["balanced"], **numbers)
 
-
-_RANGES = {
-    "density": (1e-3, 10.0),
-    "edge_stiffness": (1.0, 1e9),
-    "bending": (0.0, 1.0),
-    "bending_damping": (0.0, 10.0),
-    "drag": (0.0, 1e3),
-    "skin_friction": (0.0, 10.0),
-    "cloth_friction": (0.0, 10.0),
-    "repulsion": (0.0, 0.1),
-    "rest_curvature": (-2.0, 2.0),
-    "steps_per_second": (1.0, 1e5),
-}
 
 TIGHT = Material()
 LIGHT_KNIT = Material(edge_stiffness=1000.0, balanced=True)
 FLARED = Material(
     edge_stiffness=60.0, bending=5e-5, repulsion=0.012, rest_curvature=0.5, steps_per_second=1200.0
 )
-
-
-def _bad(what: str, where: str) -> BadData:
-    return BadData(what, where, "Fit the cloth again with 'gw fit-cloth'.")

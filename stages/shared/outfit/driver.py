@@ -18,11 +18,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+from numpy.typing import NDArray
 from torch import Tensor
 
-from stages.shared.body import Poses
+from stages.shared.body import BodyModel, Poses
 from stages.shared.errors import UsageProblem
 from stages.shared.outfit.layer import WornLayer
+from stages.shared.outfit.simulation import OutfitSimulation, SimulatedDriver
 
 DRIVES = ("auto", "bones", "learned", "simulated")
 
@@ -71,10 +73,13 @@ def bones_driver(layer: WornLayer) -> SkinnedDriver:
     return SkinnedDriver("bones", layer.model.mean_residual_of_training().detach())
 
 
-def choose_drivers(layers: Sequence[WornLayer], drive: str) -> dict[str, GarmentDriver]:
+def choose_drivers(
+    layers: Sequence[WornLayer], drive: str, body_model: BodyModel, betas: NDArray
+) -> dict[str, GarmentDriver]:
     """A driver for every garment among `layers`; the body is always posed by its decoder.
 
     Arguments:
+        layers: inner to outer. body_model, betas: the wearer, on whose body garments are simulated.
         drive: one of `DRIVES` for all garments, or LAYER=DRIVE pairs, as "lower=bones,upper=learned"; layers
             that are not named are driven as "auto", which is the layer's own default.
 
@@ -83,16 +88,26 @@ def choose_drivers(layers: Sequence[WornLayer], drive: str) -> dict[str, Garment
     """
     garments = {layer.name: layer for layer in layers if layer.slots}
     drives = _parse_drive(drive, garments)
+    kinds = {
+        name: layer.drive if drives[name] == "auto" else drives[name] for name, layer in garments.items()
+    }
+    patterns = {}
+    for name, layer in garments.items():
+        if kinds[name] == "simulated":
+            if layer.cloth is None:
+                raise UsageProblem(
+                    f"The garment {name!r} has no simulation mesh.",
+                    "option --drive",
+                    "Run gw fit-cloth and export the garment again, or use --drive learned or bones.",
+                )
+            patterns[name] = layer.cloth
+    simulation = OutfitSimulation(body_model, betas, patterns) if patterns else None
     drivers: dict[str, GarmentDriver] = {}
     for name, layer in garments.items():
-        kind = layer.drive if drives[name] == "auto" else drives[name]
-        if kind == "simulated":
-            raise UsageProblem(
-                f"The garment {name!r} has no simulation mesh.",
-                "option --drive",
-                "Use --drive learned, or bones.",
-            )
-        drivers[name] = bones_driver(layer) if kind == "bones" else LEARNED
+        if name in patterns and simulation is not None:
+            drivers[name] = SimulatedDriver(layer, simulation, betas)
+        else:
+            drivers[name] = bones_driver(layer) if kinds[name] == "bones" else LEARNED
     return drivers
 
 

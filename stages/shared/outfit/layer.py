@@ -15,6 +15,8 @@ from stages.shared.artifacts.bundle_precision import whole
 from stages.shared.avatar.decoders.base import Decoder
 from stages.shared.avatar.decoders.registry import load_decoder
 from stages.shared.avatar.maps import LayerMaps
+from stages.shared.cloth.material import Material
+from stages.shared.cloth.pattern import ClothPattern
 from stages.shared.errors import BadData
 from stages.shared.layers import SLOTS, label_of
 
@@ -59,6 +61,7 @@ class WornLayer:
         beneath: of a garment, when its bundle carries it. skin: of a body, the same.
         layer_ids: (N,) index into LAYERS of every texel, where a baseline's layer holds several.
         drive: what "auto" means for it, of `driver.DRIVES`.
+        cloth: how it is simulated; None for a layer that cannot be.
     """
 
     name: str
@@ -70,6 +73,7 @@ class WornLayer:
     skin: Skin | None = None
     layer_ids: Tensor | None = None
     drive: str = "learned"
+    cloth: ClothPattern | None = None
 
     @property
     def label(self) -> int:
@@ -112,7 +116,12 @@ def layer_of_bundle(bundle: Bundle, where: str = "bundle") -> WornLayer:
     if bare := bundle.group("skin"):
         skin = Skin(*(torch.from_numpy(bare[name].copy()) for name in ("covered", "offsets", "colors")))
     source = str(manifest["training"].get("source", ""))
-    return WornLayer(bundle.layer, tuple(manifest["slots"]), maps, model, source, beneath, skin)
+    layer = WornLayer(bundle.layer, tuple(manifest["slots"]), maps, model, source, beneath, skin)
+    if "cloth" not in manifest:
+        return layer
+    material = Material.from_json(manifest["cloth"]["material"], where)
+    pattern = ClothPattern.from_arrays(bundle.group("cloth"), material, len(maps), where)
+    return replace(layer, cloth=pattern, drive=manifest["cloth"]["drive"])
 
 
 def layer_of_training(name: str, baked: Artifact, trained: Artifact) -> WornLayer:
@@ -133,6 +142,18 @@ def layer_of_training(name: str, baked: Artifact, trained: Artifact) -> WornLaye
     model = _model(config, maps, trained.arrays(f"{name}.safetensors"))
     slots = (name,) if name in SLOTS else ()
     return WornLayer(name, slots, maps, model, trained.digest, layer_ids=ids)
+
+
+def with_cloth(layer: WornLayer, fitted: Artifact | None) -> WornLayer:
+    """The layer with its simulation mesh and its default driver from a fit-cloth artifact, if it has them."""
+    garments = fitted.json("cloth.json")["garments"] if fitted is not None else {}
+    if fitted is None or layer.name not in garments:
+        return layer
+    entry, where = garments[layer.name], f"cloth of {layer.name}"
+    material = Material.from_json(entry["material"], where)
+    arrays = fitted.arrays(f"{layer.name}.safetensors")
+    pattern = ClothPattern.from_arrays(arrays, material, len(layer.maps), where)
+    return replace(layer, cloth=pattern, drive=str(entry["drive"]))
 
 
 def _model(config: dict[str, Any], maps: LayerMaps, arrays: dict[str, np.ndarray]) -> Decoder:

@@ -56,7 +56,7 @@ class Outfit:
         Raises:
             UsageProblem: as `choose_drivers`.
         """
-        return replace(self, drivers=choose_drivers(self.layers, drive))
+        return replace(self, drivers=choose_drivers(self.layers, drive, self.body_model, self.betas))
 
     def prepare(self, poses: Poses, rows: Sequence[int]) -> None:
         """Tell the drivers which rows of a motion will be posed, in ascending order."""

@@ -9,7 +9,8 @@ from stages.pipeline import BAKE_MAPS, DISTILL, REGISTER_TEMPLATE, TRAIN
 from stages.shared.artifacts import Artifact, Workspace
 from stages.shared.body import BodyModel, Poses
 from stages.shared.layers import BASELINE_LAYERS, LAYERS
-from stages.shared.outfit.layer import WornLayer, layer_of_training
+from stages.shared.outfit.cloth_fit import fitted_cloth
+from stages.shared.outfit.layer import WornLayer, layer_of_training, with_cloth
 from stages.shared.outfit.outfit import Outfit
 from stages.shared.poses.read import load_poses
 
@@ -20,11 +21,13 @@ class TrainedSubject:
 
     Attributes:
         registered: of register-template. baked: of bake-maps. trained: of train, or of distill.
+        cloth: of fit-cloth, when its garments can be simulated.
     """
 
     registered: Artifact
     baked: Artifact
     trained: Artifact
+    cloth: Artifact | None = None
 
     @classmethod
     def open(cls, folder: Path, distilled: bool = False) -> TrainedSubject:
@@ -35,12 +38,19 @@ class TrainedSubject:
         """
         workspace = Workspace(folder)
         specs = (REGISTER_TEMPLATE, BAKE_MAPS, DISTILL if distilled else TRAIN)
-        return cls(*(workspace.require(spec) for spec in specs))
+        registered, baked, trained = (workspace.require(spec) for spec in specs)
+        return cls(registered, baked, trained, fitted_cloth(workspace))
 
     @property
     def artifacts(self) -> tuple[Artifact, Artifact, Artifact]:
-        """All three, in the order of the pipeline."""
+        """Registration, maps and training, in the order of the pipeline."""
         return self.registered, self.baked, self.trained
+
+    @property
+    def digests(self) -> dict[str, str]:
+        """Digest of every artifact by stage."""
+        parts = (*self.artifacts, *(() if self.cloth is None else (self.cloth,)))
+        return {part.stage: part.digest for part in parts}
 
     @property
     def layers(self) -> list[str]:
@@ -58,7 +68,7 @@ class TrainedSubject:
 
     def layer(self, name: str) -> WornLayer:
         """One trained layer."""
-        return layer_of_training(name, self.baked, self.trained)
+        return with_cloth(layer_of_training(name, self.baked, self.trained), self.cloth)
 
     def outfit(self) -> Outfit:
         """The subject in its own clothes."""

@@ -134,7 +134,7 @@ def _open_outfit(
             "Give one subject, or bundles only (gw export-garment).",
         )
     subject = TrainedSubject.open(folders[0], config.distilled)
-    outfit, digests = subject.outfit(), {part.stage: part.digest for part in subject.artifacts}
+    outfit, digests = subject.outfit(), subject.digests
     return outfit if betas is None else replace(outfit, betas=betas), subject.poses(), digests
 
 

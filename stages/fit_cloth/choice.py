@@ -1,0 +1,183 @@
+"""What a garment is made of, what its tracked offsets correct, and which driver follows the take best.
+
+Where the take has label images, they judge: the share of the garment's outline that is wrong. Otherwise the
+distance to the tracked offsets does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.fit_cloth.mesh import with_material
+from stages.fit_cloth.outlines import Outlines
+from stages.fit_cloth.tracked import TrackedGarment, bones_places, learned_places
+from stages.shared.body import Poses
+from stages.shared.cloth.material import Material
+from stages.shared.cloth.pattern import ClothPattern
+from stages.shared.cloth.riding import averaging, ridden
+from stages.shared.errors import BadData
+from stages.shared.outfit.simulation import OutfitSimulation
+
+Doubles = NDArray[np.float64]
+
+RESIDUAL_SHARE = 0.5  # of the mean residual: all of it fits the take and overstates other motions
+_LONGEST_CORRECTION = 0.05  # metres
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How far a driver is from the take, in parts left out.
+
+    Attributes:
+        tracked: metres from the tracked garment, mean over frames and texels.
+        outline: share of the garment's outline that is wrong (1 − IoU); None without label images.
+    """
+
+    tracked: float
+    outline: float | None
+
+    @property
+    def score(self) -> float:
+        """What is compared: smaller is better."""
+        return self.tracked if self.outline is None else self.outline
+
+
+@dataclass(frozen=True, eq=False)
+class FittedGarment:
+    """A garment's pattern and how far every driver is from the take.
+
+    Attributes:
+        material: name of the candidate. residual: whether half of the mean residual is in the pattern.
+        drivers: driver to agreement. trials: the same of every material, without residual; None where the
+            simulation failed.
+        drive: the best driver.
+    """
+
+    pattern: ClothPattern
+    material: str
+    residual: bool
+    drivers: dict[str, Agreement]
+    trials: dict[str, Agreement | None]
+    drive: str
+
+
+@dataclass(frozen=True, eq=False)
+class _Take:
+    """What a garment is compared with."""
+
+    tracked: TrackedGarment
+    outlines: Outlines | None
+
+    def agreement(self, places: Callable[[int], NDArray]) -> Agreement:
+        """Of a garment whose texels are at places(frame) (N, 3) m, world."""
+        count = len(self.tracked.poses)
+        rows = range(min(1, count - 1), count)  # the first frame is nearly the template
+        apart = float(np.mean([self.tracked.distance(row, places(row)) for row in rows]))
+        if self.outlines is None:
+            return Agreement(apart, None)
+        observed = self.tracked.observed_all
+        wrong = [self.outlines.disagreement(row, places(row)[observed]) for row in self.outlines.views]
+        return Agreement(apart, float(np.mean(wrong)))
+
+
+def fit_garment(
+    tracked: TrackedGarment,
+    outlines: Outlines | None,
+    pattern: ClothPattern,
+    inner: dict[str, ClothPattern],
+    materials: dict[str, Material],
+    pose: Poses,
+    detail: float,
+) -> FittedGarment:
+    """Choose material, residual and driver.
+
+    Arguments:
+        pattern: with any material. inner: patterns of the garments beneath, chosen before.
+        pose: one row, the template's pose. detail: of the simulations.
+    """
+    name, take = tracked.layer.name, _Take(tracked, outlines)
+    trials: dict[str, Agreement | None] = {}
+    best: tuple[Agreement, str, ClothPattern, list[Doubles]] | None = None
+    for label, material in materials.items():
+        candidate = with_material(pattern, material, tracked.body, pose)
+        try:
+            motion = _simulate(tracked, {**inner, name: candidate}, detail)
+        except BadData:  # left the range of numbers: not a material for this garment
+            trials[label] = None
+            continue
+        places = [_places(candidate, vertices) for vertices in motion]
+        agreement = trials[label] = _of(take, places)
+        if best is None or agreement.score < best[0].score:
+            best = (agreement, label, candidate, motion)
+    if best is None:
+        raise BadData(
+            f"No material keeps the simulation of '{name}' within the range of numbers.",
+            name,
+            "Look at its layer with gw inspect; without gw fit-cloth it is driven by what was learned.",
+        )
+    agreement, label, chosen, motion = best
+    residual, corrected = _residual(tracked, chosen, motion)
+    held_out = _of(take, corrected)
+    use = held_out.score < agreement.score
+    if use:
+        offsets = chosen.texel_offsets + RESIDUAL_SHARE * residual
+        chosen = replace(chosen, texel_offsets=offsets.astype(np.float32))
+    drivers = {"bones": _of(take, bones_places(tracked)), "simulated": held_out if use else agreement}
+    learned = learned_places(tracked)
+    if learned is not None:
+        drivers["learned"] = _of(take, learned)
+    drive = min(drivers, key=lambda driver: drivers[driver].score)
+    return FittedGarment(chosen, label, use, drivers, trials, drive)
+
+
+def _of(take: _Take, places: Sequence[NDArray]) -> Agreement:
+    return take.agreement(lambda row: places[row])
+
+
+def _simulate(tracked: TrackedGarment, patterns: dict[str, ClothPattern], detail: float) -> list[Doubles]:
+    """Vertices of the outermost garment in every frame of the take."""
+    simulation = OutfitSimulation(tracked.body, tracked.poses.betas, patterns, detail=detail)
+    name = tracked.layer.name
+    return [
+        simulation.positions(tracked.poses, row)[name].astype(np.float64) for row in range(len(tracked.poses))
+    ]
+
+
+def _places(pattern: ClothPattern, vertices: Doubles) -> NDArray[np.float32]:
+    return ridden(pattern.riding, vertices, pattern.faces)[0].astype(np.float32)
+
+
+def _residual(
+    tracked: TrackedGarment, pattern: ClothPattern, motion: list[Doubles]
+) -> tuple[Doubles, list[Doubles]]:
+    """The mean residual (N, 3) in the texels' frames, smooth over the mesh; and places with half of it.
+
+    The places (N, 3) of every frame are corrected with the mean of the other parts of the take.
+    """
+    smooth = averaging(pattern.riding, pattern.faces, len(pattern.vertices))
+    triangles, weights = pattern.faces[pattern.texel_faces], pattern.texel_weights.astype(np.float64)
+    parts = np.unique(tracked.part_of)
+    sums = np.zeros((len(parts), len(pattern.texel_faces), 3))
+    for row, vertices in enumerate(motion):
+        places, frames = ridden(pattern.riding, vertices, pattern.faces)
+        sums[tracked.part_of[row]] += np.einsum("nji,nj->ni", frames, tracked.positions(row) - places)
+
+    def mean(chosen: NDArray[np.bool_]) -> Doubles:
+        count = max(int(np.isin(tracked.part_of, parts[chosen]).sum()), 1)
+        values = smooth @ (sums[chosen].sum(axis=0) / count)
+        spread = np.einsum("nk,nkc->nc", weights, values[triangles])
+        length = np.linalg.norm(spread, axis=1, keepdims=True)
+        return np.asarray(spread * np.minimum(1.0, _LONGEST_CORRECTION / np.maximum(length, 1e-9)))
+
+    nothing = np.zeros((len(pattern.texel_faces), 3))
+    others = {int(part): mean(parts != part) if len(parts) > 1 else nothing for part in parts}
+    corrected = []
+    for row, vertices in enumerate(motion):
+        places, frames = ridden(pattern.riding, vertices, pattern.faces)
+        correction = others[int(tracked.part_of[row])]
+        corrected.append(places + RESIDUAL_SHARE * np.einsum("nij,nj->ni", frames, correction))
+    return mean(np.ones(len(parts), dtype=bool)), corrected

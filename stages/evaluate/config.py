@@ -24,6 +24,8 @@ class EvaluateConfig:
         training: beginning of the key of the training that is scored; "" for the one in use.
         pictures: side-by-side pictures per split.
         supersampling: rays per pixel and axis of the baseline's render.
+        drive: what moves garments in test takes, as `gw render --drive`; "auto" is each garment's default.
+            In training takes "auto" is "learned".
         shard: "i/n", the part of the frames that this run scores; "" for all.
     """
 
@@ -39,6 +41,11 @@ class EvaluateConfig:
     )
     pictures: int = 4
     supersampling: int = 2
+    drive: str = option(
+        "auto",
+        "What moves garments in unseen poses: auto | bones | learned | simulated; by layer: "
+        "lower=bones,upper=learned.",
+    )
     shard: str = option(
         "", "Only the i-th of n parts of the frames, as 2/4; see below.", metavar="I/N", affects_result=False
     )

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from stages.evaluate.baseline import Baseline
 from stages.evaluate.views import FrameViews
+from stages.shared.avatar.deform import PosedGaussians
+from stages.shared.capture import Take
 from stages.shared.capture.camera import Camera
 from stages.shared.outfit.outfit import Outfit
 from stages.shared.outfit.render_image import render_image
@@ -25,13 +27,23 @@ class Method(Protocol):
 
 
 class TrainedMethod:
-    """The trained layers of the subject."""
+    """The trained layers of the subject, as learned in training takes and driven in others.
 
-    def __init__(self, outfit: Outfit) -> None:
+    Arguments:
+        outfit: the subject in its own clothes. drive: as `Outfit.driven` takes it.
+    """
+
+    def __init__(self, outfit: Outfit, drive: str = "learned") -> None:
         self.outfit = outfit
+        self._by_split = {"train": outfit.driven(drive, trained_poses=True), "test": outfit.driven(drive)}
 
     def pose(self, views: FrameViews) -> None:
-        self._composite = self.outfit.composite(views.take.poses, views.frame)
+        outfit = self._by_split[views.take.split]
+        self._composite = outfit.composite(views.take.poses, views.frame)
+
+    def posed(self, take: Take, frame: int) -> dict[str, PosedGaussians]:
+        """All layers in a frame of a take."""
+        return self._by_split[take.split].posed(take.poses, frame)
 
     def render(self, camera: Camera) -> Rendered:
         shot = render_image(self._composite, camera)

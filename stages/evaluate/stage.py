@@ -25,19 +25,21 @@ from stages.evaluate.result import MARK, RESULT_NAME, EvaluateResult, write_eval
 from stages.evaluate.score import view_items
 from stages.evaluate.score_table import ScoreTable
 from stages.evaluate.sharding import collect_rows, evaluation_key, score_items, shard_summary
-from stages.evaluate.vertices import posings_of, vertex_errors
+from stages.evaluate.vertices import PosedLayers, Posing, posings_of, vertex_errors
 from stages.evaluate.views import FrameViews, views_by_split
-from stages.pipeline import BAKE_MAPS, DISTILL, REGISTER_TEMPLATE, SEGMENT_LAYERS, TRAIN
+from stages.pipeline import BAKE_MAPS, DISTILL, FIT_CLOTH, REGISTER_TEMPLATE, SEGMENT_LAYERS, TRAIN
 from stages.shared.artifacts import Artifact, Workspace
 from stages.shared.artifacts.canonical import readable_json
 from stages.shared.artifacts.files import write_whole
 from stages.shared.artifacts.spec import StageSpec
-from stages.shared.body import BodyModel
-from stages.shared.capture import Capture
+from stages.shared.avatar.deform import PosedGaussians
+from stages.shared.body import BodyModel, Poses
+from stages.shared.capture import Capture, Take
 from stages.shared.capture.subject import open_subject_capture
 from stages.shared.capture.true_meshes import TrueMeshes, true_meshes_of
 from stages.shared.errors import MissingInput, UsageProblem
 from stages.shared.losses.perceptual import Perceptual
+from stages.shared.outfit.cloth_fit import fitted_cloth
 from stages.shared.outfit.trained_subject import TrainedSubject
 from stages.shared.pictures.folder import check_output
 from stages.shared.pictures.parts import finish, parse_share, part_folder
@@ -150,6 +152,9 @@ def _artifacts(workspace: Workspace, registered: Artifact, config: EvaluateConfi
         if name in config.methods:
             found[BAKE_MAPS.name] = workspace.require(BAKE_MAPS)
             found[spec.name] = chosen_training(workspace, spec, config.training if name == "trained" else "")
+            cloth = fitted_cloth(workspace)
+            if cloth is not None and not config.training:
+                found[FIT_CLOTH.name] = cloth
     if "baseline" in config.methods:
         found[SEGMENT_LAYERS.name] = workspace.require(SEGMENT_LAYERS)
     return found
@@ -216,8 +221,8 @@ def _methods(opened: _Opened, config: EvaluateConfig) -> tuple[dict[str, Method]
     for name, spec in _LEARNED.items():
         if name in config.methods:
             trained = artifacts[spec.name]
-            outfit = TrainedSubject(opened.registered, artifacts[BAKE_MAPS.name], trained).outfit()
-            methods[name] = TrainedMethod(outfit)
+            parts = (opened.registered, artifacts[BAKE_MAPS.name], trained, artifacts.get(FIT_CLOTH.name))
+            methods[name] = TrainedMethod(TrainedSubject(*parts).outfit(), config.drive)
             known = {word: trained.summary.get(word) for word in ("method", "without", "steps", "gaussians")}
             training[name] = {"key": trained.key, **known}
     if "baseline" in config.methods:
@@ -240,9 +245,24 @@ def _true_meshes(given: Sequence[str], capture: Capture, config: EvaluateConfig)
 
 def _measured(folder: Path, opened: _Opened, methods: dict[str, Method], report: Report) -> dict[str, Any]:
     """Measure against the true meshes what was learned, and its texels moved by the bones alone."""
-    outfits = {name: method.outfit for name, method in methods.items() if isinstance(method, TrainedMethod)}
+    trained = {name: method for name, method in methods.items() if isinstance(method, TrainedMethod)}
+    takes = [*opened.capture.training_takes, *opened.capture.test_takes]
     summary = opened.registered.summary
     template = opened.capture.take(str(summary["take"])), int(summary["frame"])
-    found, rows = vertex_errors(opened.splits, opened.meshes, posings_of(outfits), template, report)
+    found, rows = vertex_errors(opened.splits, opened.meshes, _posings(trained, takes), template, report)
     write_whole(folder / "vertices.json", readable_json(rows))
     return found
+
+
+def _posings(methods: dict[str, TrainedMethod], takes: list[Take]) -> dict[str, Posing]:
+    """How every method poses garments in a take, and the bones alone."""
+
+    def in_take(method: TrainedMethod) -> PosedLayers:
+        def posed(poses: Poses, frame: int) -> dict[str, PosedGaussians]:
+            take = next((take for take in takes if take.poses is poses), None)
+            return method.outfit.posed(poses, frame) if take is None else method.posed(take, frame)
+
+        return posed
+
+    outfits = {name: method.outfit for name, method in methods.items()}
+    return posings_of(outfits, {name: in_take(method) for name, method in methods.items()})

@@ -91,9 +91,14 @@ def posing_of(outfit: Outfit, posed: PosedLayers | None = None) -> Posing:
     return Posing(centres, bones, triangles)
 
 
-def posings_of(outfits: Mapping[str, Outfit]) -> dict[str, Posing]:
-    """Name to way of posing, and "bones": the points of the first outfit moved by the bones alone."""
-    found = {name: posing_of(outfit) for name, outfit in outfits.items()}
+def posings_of(
+    outfits: Mapping[str, Outfit], posed: Mapping[str, PosedLayers] | None = None
+) -> dict[str, Posing]:
+    """Name to way of posing, and "bones": the points of the first outfit moved by the bones alone.
+
+    `posed`, by name, takes the place of `Outfit.posed`.
+    """
+    found = {name: posing_of(outfit, (posed or {}).get(name)) for name, outfit in outfits.items()}
     first = next(iter(found.values()))
     return {**found, "bones": Posing(first.bones, first.bones, first.triangles)}
 

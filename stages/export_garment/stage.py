@@ -7,7 +7,8 @@ Reads:
 Writes:
     one `.gwg` file: maps, model, betas, joints, preview; a body also its body model and what its covered skin
     is when bare; a garment also the form of the source's body beneath it (offsets (K,3) m and quaternions
-    (K,4) per covered texel), and its simulation mesh, pins and material. No dates, no paths: two exports of the same training are the same bytes.
+    (K,4) per covered texel), and its simulation mesh, pins and material.
+    No dates, no paths: two exports of the same training are the same bytes.
 """
 
 from __future__ import annotations

@@ -50,12 +50,18 @@ class Outfit:
     uncovered_skin: UncoveredSkin | None = None
     drivers: Mapping[str, GarmentDriver] = field(default_factory=dict)
 
-    def driven(self, drive: str) -> Outfit:
+    def driven(self, drive: str, trained_poses: bool = False) -> Outfit:
         """The outfit with the drivers that `choose_drivers` names; they fit these layers and this shape.
+
+        Arguments:
+            trained_poses: the poses are those that the garments were learned in, where "auto" means learned.
 
         Raises:
             UsageProblem: as `choose_drivers`.
         """
+        if trained_poses:
+            learned = tuple(replace(layer, drive="learned") for layer in self.layers)
+            return replace(self, layers=learned).driven(drive)
         return replace(self, drivers=choose_drivers(self.layers, drive, self.body_model, self.betas))
 
     def prepare(self, poses: Poses, rows: Sequence[int]) -> None:

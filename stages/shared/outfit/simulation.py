@@ -67,7 +67,7 @@ class OutfitSimulation:
     def positions(self, poses: Poses, row: int) -> dict[str, Floats]:
         """Vertices (V, 3) f32 m, world, of every garment in a row of `poses`."""
         with self._lock:
-            if self._poses is not poses:
+            if self._poses is not poses and not _same_motion(self._poses, poses):
                 self._poses, self._rows = poses, []
             while len(self._rows) <= row:
                 self._advance(poses, len(self._rows))
@@ -102,6 +102,15 @@ class OutfitSimulation:
             transforms = skin.transforms(step.rotations, step.translation) if len(chosen) else None
             pins.append(np.zeros((0, 3)) if transforms is None else skin.positions(transforms, chosen))
         self._simulator.advance(body, pins, step.seconds)
+
+
+def _same_motion(one: Poses | None, other: Poses) -> bool:
+    return (
+        one is not None
+        and one.fps == other.fps
+        and np.array_equal(one.rotations, other.rotations)
+        and np.array_equal(one.translation, other.translation)
+    )
 
 
 class SimulatedDriver:

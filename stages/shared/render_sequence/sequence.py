@@ -68,10 +68,10 @@ def open_sequence(
     outfit, subject_poses, digests = _open_outfit(sources, config)
     if config.layers:
         outfit = select_layers(outfit, config.layers)
-    outfit = outfit.driven(config.drive)
     take = None
     if cameras_path is not None:
-        take = capture_take(open_capture(cameras_path, body=outfit.body_model), config.take or None)
+        capture = open_capture(cameras_path, body=outfit.body_model)
+        take = capture_take(capture, config.take or None)
     if poses_path is not None and poses_path == Path(CANONICAL):
         poses = canonical_poses(1 if config.camera in ("", "static") else _STILL_FRAMES)
     elif poses_path is not None:
@@ -86,6 +86,10 @@ def open_sequence(
         raise MissingInput(
             "There are no poses.", "option --poses", "Give a motion with --poses FILE, or --poses canonical."
         )
+    trained_poses = subject_poses is not None and (
+        poses is subject_poses if take is None or poses_path is not None else take in capture.training_takes
+    )
+    outfit = outfit.driven(config.drive, trained_poses)
     return RenderSequence(outfit, poses, _frames(outfit, poses, take, config), take, digests)
 
 

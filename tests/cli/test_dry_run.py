@@ -65,6 +65,8 @@ REFUSED = """
 2 distill subject --ranks zz
 66 distill subject --poses nowhere
 65 distill subject --poses file
+66 fit-cloth bare
+2 fit-cloth subject --materials zz
 66 export-garment bare --layer lower -o out
 66 export-garment subject --layer outer -o out
 2 export-garment subject --layer zz -o out

@@ -26,7 +26,7 @@ from stages.shared.artifacts.canonical import canonical_json, digest
 from stages.shared.errors import GwError
 
 GOLDEN = Path(__file__).parents[1] / "golden"
-FILES = ("garment-f16-1.1.gwg", "body-1.1.gwg")
+FILES = ("garment-f16-1.1.gwg", "body-1.1.gwg", "garment-cloth-1.2.gwg")
 COUNT = 320
 CALLS, BYTES = 60_000, 256 << 20
 NUMBERS: tuple[Any, ...] = (

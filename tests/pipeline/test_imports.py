@@ -272,6 +272,7 @@ MISTYPED = (
     "bake-maps NONE",
     "train NONE",
     "distill NONE",
+    "fit-cloth NONE",
     "export-garment NONE --layer upper",
     "tryon NONE.gwg --poses NONE.npz",
     "render NONE",

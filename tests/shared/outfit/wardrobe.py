@@ -10,14 +10,18 @@ from typing import Any
 import numpy as np
 import torch
 
+from stages.fit_cloth.mesh import build_pattern
 from stages.pipeline import BAKE_MAPS, REGISTER_TEMPLATE, SEGMENT_LAYERS, TRAIN
 from stages.shared.artifacts import Workspace
 from stages.shared.artifacts.bundle import Bundle
 from stages.shared.avatar.config import ModelConfig
 from stages.shared.avatar.decoders.styleunet import StyleUNetDecoder
+from stages.shared.avatar.deform import blended, moved, shaped_positions
 from stages.shared.avatar.maps import LayerMaps
+from stages.shared.avatar.pose import pose_at
 from stages.shared.body import BodyModel, Poses, embedded_body
 from stages.shared.capture import Camera, native_writer
+from stages.shared.cloth.material import TIGHT, Material
 from stages.shared.outfit.layer import WornLayer
 from stages.shared.outfit.outfit import Outfit
 from stages.shared.outfit.render_image import render_image
@@ -46,6 +50,22 @@ def worn(name: str, offset: float = 0.0, source: str = "", **shape: Any) -> Worn
     return WornLayer(name, () if name == "body" else (name,), maps, model, source)
 
 
+def simulated(name: str, material: Material = TIGHT, source: str = "", **shape: Any) -> WornLayer:
+    """A layer that is simulated by default, on a mesh of few vertices."""
+    layer = worn(name, source=source, **shape)
+    pose = motion()[[0]]
+    cloth = build_pattern(name, world_mesh(layer), layer.maps, embedded_body(), pose, 60, material)
+    return replace(layer, cloth=cloth, drive="simulated")
+
+
+def world_mesh(layer: WornLayer) -> dict[str, np.ndarray]:
+    """The layer's mesh with its vertices in the first pose of the motion as well."""
+    pose = pose_at(embedded_body(), motion(), 0)
+    matrices = blended(layer.maps.skin_weights, pose.transforms)
+    placed = moved(shaped_positions(layer.maps, pose.betas), matrices)
+    return {**tube_mesh(layer), "world_vertices": placed.numpy()}
+
+
 @cache
 def small_body() -> dict[str, np.ndarray]:
     """The embedded body's arrays that a bundle carries."""
@@ -67,7 +87,9 @@ def bundle(layer: WornLayer, slots: tuple[str, ...] | None = None, digest: str =
         arrays["swap/texels"] = texels
         arrays["swap/offsets"] = np.full((len(texels), 3), 0.001, np.float32)
         arrays["swap/quaternions"] = np.tile(np.array([1, 0, 0, 0], np.float32), (len(texels), 1))
-    manifest = {
+    if layer.cloth is not None:
+        arrays |= {f"cloth/{name}": array for name, array in layer.cloth.arrays().items()}
+    manifest: dict[str, Any] = {
         "kind": "body" if layer.name == "body" else "garment",
         "layer": layer.name,
         "slots": list(layer.slots if slots is None else slots),
@@ -79,6 +101,8 @@ def bundle(layer: WornLayer, slots: tuple[str, ...] | None = None, digest: str =
         "training": {"source": layer.source},
         "note": "",
     }
+    if layer.cloth is not None:
+        manifest["cloth"] = {"material": layer.cloth.material.to_json(), "drive": layer.drive}
     return Bundle(manifest, arrays)
 
 
@@ -132,7 +156,7 @@ def _workspace(root: Path, capture: Path, dressed: Outfit, trained: bool) -> Pat
         registered.summary(take="moves", frame=0)
     with workspace.build(SEGMENT_LAYERS, {}, {"register-template": registered.artifact}) as segmented:
         for layer in dressed.layers:
-            segmented.write_arrays(layer.name, tube_mesh(layer))
+            segmented.write_arrays(layer.name, world_mesh(layer))
         segmented.summary(layers=list(dressed.names), frame=0)
     with workspace.build(BAKE_MAPS, {}, {"segment-layers": segmented.artifact}) as baked:
         for layer in dressed.layers:

@@ -1,0 +1,94 @@
+"""gw fit-cloth: openings, pins, outlines, and the whole stage on a tiny subject."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stages.fit_cloth import stage
+from stages.fit_cloth.config import FitClothConfig
+from stages.fit_cloth.mesh import pins
+from stages.fit_cloth.openings import close_holes, highest_rim, rims
+from stages.fit_cloth.outlines import Outlines, OutlineView, draw
+from stages.shared.artifacts import Workspace
+from stages.shared.body import embedded_body
+from stages.shared.errors import UsageProblem
+from stages.shared.outfit.cloth_fit import fitted_cloth
+from stages.shared.outfit.trained_subject import TrainedSubject
+from tests.shared.outfit.wardrobe import cameras, make_subject
+
+TINY = FitClothConfig(vertices=60, frames=4, detail=0.1, materials=("tight", "flared"))
+
+
+def tube(around: int = 24, rows: int = 12) -> tuple[np.ndarray, np.ndarray]:
+    """An open tube about the pelvis, upright: vertices (V, 3), faces."""
+    angle, height = np.meshgrid(
+        np.arange(around) * 2 * np.pi / around, np.linspace(-0.3, 0.1, rows), indexing="ij"
+    )
+    vertices = np.stack([0.2 * np.cos(angle), height, 0.2 * np.sin(angle)], axis=-1).reshape(-1, 3)
+    faces = []
+    for i in range(around):
+        for j in range(rows - 1):
+            a, b = i * rows + j, (i + 1) % around * rows + j
+            faces += [[a, a + 1, b], [b, a + 1, b + 1]]
+    return vertices, np.array(faces, np.int32)
+
+
+def test_holes_are_closed_and_openings_for_limbs_stay() -> None:
+    vertices, faces = tube()
+    joints = embedded_body().joint_template
+    torn = np.delete(faces, [50, 51, 52, 53], axis=0)
+    assert len(rims(torn, len(vertices))) == 3
+    closed, whole = close_holes(vertices, torn, joints)
+    assert len(rims(whole, len(closed))) == 2
+    heights = [closed[rim[:, 0], 1].mean() for rim in rims(whole, len(closed))]
+    np.testing.assert_allclose(sorted(heights), [-0.3, 0.1], atol=1e-6)
+    np.testing.assert_allclose(closed[highest_rim(closed, whole), 1], 0.1)
+
+
+def test_pins_follow_the_rule() -> None:
+    vertices, faces = tube()
+    joints = embedded_body().joint_template
+    waist = pins("lower", vertices, faces, joints)
+    assert waist.any() and (vertices[waist, 1] > 0.1 - 0.035).all()
+    assert not pins("upper", vertices, faces, joints).any()
+    dress = vertices * [1, 2, 1] + [0, 0.5, 0]
+    assert not pins("lower", dress, faces, joints).any()
+    jacket = vertices + [0, joints[12, 1] - 0.1, 0]
+    collar = pins("outer", jacket, faces, joints)
+    assert collar.any() and (jacket[collar, 2] < joints[12, 2]).all()
+
+
+def test_outlines_tell_how_far_a_garment_is_from_its_place() -> None:
+    camera = cameras()[0]
+    vertices, _ = tube(60, 40)
+    places = 0.3 * vertices
+    seen = draw(camera, places, 0.01)
+    assert 20 < seen.sum() < seen.size / 2
+    outlines = Outlines({0: [OutlineView(camera, seen, ~seen)]}, 0.01)
+    wrong = [outlines.disagreement(0, places + [shift, 0, 0]) for shift in (0.0, 0.02, 0.05)]
+    assert wrong[0] == 0 and wrong[0] < wrong[1] < wrong[2] <= 1
+
+
+def test_the_stage_fits_every_garment_and_the_subject_uses_it(tmp_path: Path) -> None:
+    subject = make_subject(tmp_path)
+    result = stage.run(subject, TINY)
+    for name in ("lower", "upper"):
+        figures = result.summary[name]
+        assert set(figures["materials"]) == {"tight", "flared"}
+        assert figures["drive"] in figures["drivers"] and figures["vertices"] > 20
+        agreement = figures["drivers"]["simulated"]
+        assert 0 <= agreement["outline"] <= 1 and np.isfinite(agreement["tracked_m"])
+    assert fitted_cloth(Workspace(subject)) is not None
+    outfit = TrainedSubject.open(subject).outfit()
+    assert [layer.cloth is not None for layer in outfit.layers] == [False, True, True]
+    again = stage.run(subject, TINY)
+    assert again.artifact.key == result.artifact.key
+    assert stage.plan(subject, TINY).seconds > 0
+
+
+def test_an_unknown_material_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageProblem, match="velvet"):
+        stage.run(tmp_path, FitClothConfig(materials=("velvet",)))

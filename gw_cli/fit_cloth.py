@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from gw_cli.console import Console, command
+from gw_cli.inputs import check_stages
 from gw_cli.options import DryRun, Force, Json, Preset, Subject, preset_config
 
 
@@ -31,7 +32,6 @@ def register(app: typer.Typer) -> None:
         tracked garment best. Bones, learned offsets and simulation are compared in parts of the take that
         were left out. The best of them becomes what `--drive auto` means for the garment.
         """
-        from stages.fit_cloth import stage
         from stages.fit_cloth.config import PRESETS
 
         console = Console(as_json)
@@ -40,6 +40,9 @@ def register(app: typer.Typer) -> None:
             config = replace(config, materials=tuple(name.strip() for name in materials.split(",")))
         if vertices:
             config = replace(config, vertices=vertices)
+        check_stages(subject, "train")
+        from stages.fit_cloth import stage
+
         if dry_run:
             console.plan(stage.plan(subject, config))
             return

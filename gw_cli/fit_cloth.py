@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from gw_cli.console import Console, command
-from gw_cli.inputs import check_stages
+from gw_cli.inputs import check_inputs_of
 from gw_cli.options import DryRun, Force, Json, Preset, Subject, preset_config
 
 
@@ -40,7 +40,7 @@ def register(app: typer.Typer) -> None:
             config = replace(config, materials=tuple(name.strip() for name in materials.split(",")))
         if vertices:
             config = replace(config, vertices=vertices)
-        check_stages(subject, "train")
+        check_inputs_of("fit-cloth", subject)
         from stages.fit_cloth import stage
 
         if dry_run:

@@ -89,7 +89,8 @@ class TrainConfig:
         seed: of weights, order of frames and cameras, backgrounds.
         steps: optimiser steps. minutes: stop earlier when this time is up (the schedules follow the clock
             then); 0 for no limit.
-        frame_step: learn from every so many-th frame. views_per_step: cameras splatted per network pass.
+        frame_step: step between the frames that are learned from; 0 for a step from the length of the take
+            (`resolve.frame_step_by_time`). views_per_step: cameras splatted per network pass.
         image_scale: size of the pictures learned from, 1 is the capture's. coarse_scale, coarse_until:
             smaller pictures up to this share of the run. patch: px, side of the window of each picture that
             a step sees (`stages/train/random_crop.py`); 0 for whole pictures.
@@ -115,7 +116,9 @@ class TrainConfig:
     seed: int = option(0, "Seed of everything random.", min=0)
     steps: int = option(2000, "Optimiser steps.", min=1)
     minutes: float = option(0.0, "Stop after this much training time; 0 for the steps alone.", min=0)
-    frame_step: int = option(5, "Step between the frames of each take that are learned from.", min=1)
+    frame_step: int = option(
+        5, "Step between the frames of each take that are learned from; 0 for about 40 of the take.", min=0
+    )
     views_per_step: int = option(4, "Cameras rendered for each pass of the networks.", min=1)
     image_scale: float = option(1.0, "Learn from smaller images; 1 is full size.", min=0.05, max=1.0)
     coarse_scale: float = 0.25
@@ -172,6 +175,7 @@ _ECONOMY = LossWeights(
 )
 _TRACKED = TrackConfig(frame_step=1, collision=3.0)
 DRAFT = TrainConfig(
+    frame_step=0,
     penetration_every=4,
     perceptual_side=128,
     weights=_ECONOMY,

@@ -17,18 +17,25 @@ from stages.train.source import Source
 from stages.train.take_sequence import TakeSequence
 
 _TRACKING_SHARE = 1 / 3  # of `minutes`
+_FRAMES_BY_TIME = 40  # frames of a take that presets without a step learn from
+_LONGEST_GAP = 0.5  # s between two of them
 
 
 def resolve(config: TrainConfig, source: Source) -> TrainConfig:
     """The configuration that a run uses.
 
-    Method, decoder and ablation are applied. `track.frame_step` is what the time allows. `model.anchors` is
-    the number of key poses. Losses that only a frozen body could answer are off.
+    Method, decoder and ablation are applied. `frame_step` is set where it depends on the take.
+    `track.frame_step` is what the time allows. `model.anchors` is the number of key poses. Losses that only a
+    frozen body could answer are off.
 
     Raises:
         UsageProblem: as `resolve_settings`.
     """
-    config = affordable_tracking(resolve_settings(config), source.sequence)
+    config = resolve_settings(config)
+    if not config.frame_step:
+        frames = source.sequence.takes[0].frames
+        config = replace(config, frame_step=frame_step_by_time(len(frames), source.poses.fps))
+    config = affordable_tracking(config, source.sequence)
     config = replace(config, model=replace(config.model, anchors=_key_poses(config, source.sequence)))
     return replace(config, weights=source.warm_start.weights(config.weights))
 
@@ -58,6 +65,17 @@ def resolve_settings(config: TrainConfig) -> TrainConfig:
     if not config.model.anchors:  # without key poses there is nothing to track
         config = replace(config, track=replace(config.track, frame_step=0))
     return config
+
+
+def frame_step_by_time(frames: int, fps: float) -> int:
+    """Step between the frames of a take that are learned from: about 40 frames, and all of a short take.
+
+    Long takes give more frames, so that no two are further apart than half a second.
+
+    Arguments:
+        frames: number of frames of the take. fps: frames per second.
+    """
+    return max(1, min(frames // _FRAMES_BY_TIME, int(_LONGEST_GAP * fps)))
 
 
 def affordable_tracking(config: TrainConfig, sequence: TakeSequence) -> TrainConfig:

@@ -126,7 +126,7 @@ def plan(
     return Plan(
         inputs=[str(source.registered.path), str(source.baked.path), str(source.capture.root), *others],
         outputs=[f"{workspace.root / TRAIN.name}/<key>/{name}.safetensors" for name in maps],
-        config=asdict(config),
+        config=asdict(replace(config, frame_step=resolved.frame_step)),
         seconds=estimate.seconds(maps, resolved, extent),
         memory_bytes=estimate.memory_bytes(maps, resolved, extent),
         disk_bytes=estimate.disk_bytes(maps, resolved),
@@ -166,9 +166,11 @@ def _finished(
 def _say_what_differs(
     report: Report, source: Source, resolved: TrainConfig, perceptual_weights: Path | None
 ) -> None:
-    """Warnings of the warm start, and terms of the loss that are off."""
+    """Warnings of the warm start, the frames that are learned from, and terms of the loss that are off."""
     for warning in source.warm_start.warnings:
         report.warn(warning)
+    learned, frames = source.sequence.every(resolved.frame_step), source.sequence.frames
+    report.say(f"learning from {len(learned)} of {len(frames)} frames ({source.poses.fps:g} per second)")
     if perceptual_weights is None and max(resolved.weights.lpips, resolved.weights.face) > 0:
         report.say("no perceptual weights given: the LPIPS terms are off")
 
@@ -216,6 +218,7 @@ def _summary(trainer: Trainer, source: Source, state: RunState, progress: Progre
         "gaussians": sum(len(layer) for layer in maps.values()),
         "parameters": sum(parameter.numel() for parameter in trainer.parameters.values()),
         "frames": len(trainer.frames),
+        "frame_step": trainer.config.frame_step,
         **({"takes": takes} if len(takes) > 1 else {}),
         "steps": state.step,
         "skipped": state.skipped,

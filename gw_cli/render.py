@@ -44,7 +44,9 @@ def register(app: typer.Typer) -> None:
         ] = None,
         html: Annotated[
             Path | None,
-            typer.Option(help="Write one page that shows the first frame from all sides; alone unless -o."),
+            typer.Option(
+                help="Write one page that shows a frame, or plays several, from all sides; alone unless -o."
+            ),
         ] = None,
         config: RenderConfig = PRESETS["draft"],
         dry_run: DryRun = False,
@@ -64,6 +66,8 @@ def register(app: typer.Typer) -> None:
         gw render body.gwg skirt.gwg --poses walk.bvh --export ply,spz --no-pictures -o splats
 
         gw render body.gwg skirt.gwg --poses canonical --html skirt.html
+
+        gw render body.gwg skirt.gwg --poses walk.bvh --frames 0:150 --html walk.html
 
         gw render SUBJECT --cameras CAPTURE --passes depth,layers -o views
 

@@ -1,7 +1,8 @@
-"""A page that shows one moment of an outfit from all sides: one file, opened from disk, without a server.
+"""A page that shows an outfit from all sides, still or in motion: one file that needs no server.
 
-Reads: what `gw render` reads. Writes: one HTML file with the Gaussians inside (24 bytes each, as base64), the
-code that draws them, and switches for layers; it asks for nothing from anywhere.
+Reads: what `gw render` reads. Writes: one HTML file with the Gaussians inside, the code that draws them, and
+switches for layers; it asks for nothing from anywhere. One frame is written as it is (22 bytes a Gaussian);
+several frames become a clip that the page skins and plays (`clip.py`).
 """
 
 from __future__ import annotations
@@ -15,11 +16,13 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from stages.render.clip import pack_clip
 from stages.shared.artifacts import write_whole
 from stages.shared.errors import UsageProblem
 from stages.shared.pictures.background import read_background
 from stages.shared.plan import Plan
 from stages.shared.render_sequence.config import RenderConfig
+from stages.shared.render_sequence.outputs import video_rate
 from stages.shared.render_sequence.sequence import RenderSequence, open_sequence
 from stages.shared.report import SILENT, Report
 from stages.shared.targets import check_file_target
@@ -35,7 +38,7 @@ def run(
     config: RenderConfig = RenderConfig(),
     report: Report = SILENT,
 ) -> dict[str, Any]:
-    """Write the page of the first frame that `config` names; returns path, row, layers, Gaussians, bytes.
+    """Write the page of the frames that `config` names; returns path, frames, layers, Gaussians, bytes.
 
     Raises:
         UsageProblem: what cannot be meant; an output that is a folder. MissingInput, BadData: inputs.
@@ -43,18 +46,20 @@ def run(
     """
     color, scene = _checked(output, config), _open(sources, poses_path, cameras_path, config)
     report.step("writing the page")
-    frame = scene.frames[0]
+    frame, rows = scene.frames[0], [each.row for each in scene.frames]
     composite = scene.outfit.composite(scene.poses, frame.row)
-    page = turntable(
-        pack_gaussians(composite),
-        orbit_start(frame.cameras[0], composite),
-        color,
-        " + ".join(composite.layers),
-    )
+    start, title = orbit_start(frame.cameras[0], composite), " + ".join(composite.layers)
+    if len(rows) > 1:
+        rate = video_rate(scene.poses.fps, scene.frames)
+        content = pack_clip(scene.outfit, scene.poses, rows, rate, report)
+    else:
+        content = pack_gaussians(composite)
+    page = page_text(content, start, color, title)
     write_whole(output, page)
     return {
         "page": str(output),
         "frame": frame.row,
+        "frames": len(rows),
         "layers": list(scene.outfit.names),
         "gaussians": scene.outfit.gaussians,
         "bytes": len(page),
@@ -78,19 +83,22 @@ def plan(
         config={**asdict(config), "layers": list(scene.outfit.names)},
         seconds=3.0 + 1e-5 * count,
         memory_bytes=600_000_000 + 3000 * count,
-        disk_bytes=20_000 + 32 * count,
+        disk_bytes=40_000
+        + 32 * count
+        + (3600 * len(scene.frames) + 8 * count if len(scene.frames) > 1 else 0),
     )
 
 
-def turntable(packed: bytes, start: dict[str, object], background: str, title: str) -> bytes:
+def page_text(content: bytes, start: dict[str, object], background: str, title: str) -> bytes:
     """The page as bytes. start: `orbit_start`'s. background: #rrggbb."""
-    text = resources.files("stages.render").joinpath("turntable.html").read_text("utf-8")
+    text = resources.files("stages.render").joinpath("page.html").read_text("utf-8")
     for name, value in (
         ("TITLE", html.escape(title)),
         ("BACKGROUND", background),
         ("START", json.dumps(start)),
         ("VIEWER", viewer_script()),
-        ("GAUSSIANS", base64.b64encode(packed).decode()),
+        ("CLIP", viewer_script("clip.js")),
+        ("GAUSSIANS", base64.b64encode(content).decode()),
     ):
         text = text.replace(f"@{name}@", value)
     return text.encode()

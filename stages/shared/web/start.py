@@ -30,6 +30,6 @@ def orbit_start(camera: Camera, composite: Gaussians) -> dict[str, object]:
     }
 
 
-def viewer_script() -> str:
-    """The text of viewer.js, which draws."""
-    return resources.files("stages.shared.web").joinpath("viewer.js").read_text("utf-8")
+def viewer_script(name: str = "viewer.js") -> str:
+    """The text of viewer.js, which draws, or of clip.js, which plays a motion with it."""
+    return resources.files("stages.shared.web").joinpath(name).read_text("utf-8")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from stages.shared.artifacts.spec import StageSpec
 
 REGISTER_TEMPLATE = StageSpec(
-    "register-template", "gw register-template CAPTURE -o SUBJECT", (), code_version=3
+    "register-template", "gw register-template CAPTURE -o SUBJECT", (), code_version=4
 )
 CANONICALIZE = StageSpec("canonicalize", "gw canonicalize SUBJECT", ("register-template",), code_version=2)
 SEGMENT_LAYERS = StageSpec(

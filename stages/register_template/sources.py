@@ -15,6 +15,7 @@ from stages.shared.artifacts import ExternalFiles
 from stages.shared.body import BodyModel, Poses, embedded_body, load_body
 from stages.shared.body.convert import convert_poses
 from stages.shared.capture import Capture, Take, open_capture
+from stages.shared.capture.landmarks import landmarks_file
 from stages.shared.capture.open_capture import with_poses
 from stages.shared.errors import MissingInput, UsageProblem
 from stages.shared.meshes.load import check_mesh_file
@@ -108,6 +109,9 @@ def capture_source(
         "capture/masks": _files(capture, "masks", masks),
         "capture/images": _files(capture, "images", _views(take, images, "image")),
     }
+    landmarks = [file for one in capture.takes if (file := landmarks_file(one)) is not None]
+    if fits and landmarks:
+        inputs["capture/landmarks"] = _files(capture, "landmarks", landmarks)
     if fits and take.scan is not None:
         inputs["capture/scan"] = _files(capture, "scan", [take.scan])
     if template == "scan" and take.scan is not None:

@@ -1,4 +1,4 @@
-"""Poses of whole takes from nothing but masks, and a scan of one frame if there is one."""
+"""Poses of whole takes from masks and landmarks, and a scan of one frame if there is one."""
 
 from __future__ import annotations
 
@@ -10,16 +10,24 @@ import numpy as np
 
 from stages.register_template.fitting.bones import State, bones_of
 from stages.register_template.fitting.contours import views_of
+from stages.register_template.fitting.fit_check import (
+    FitCheck,
+    landmark_misfit,
+    take_landmarks,
+    wrong_parts,
+)
 from stages.register_template.fitting.fit_scan import fit_scan
 from stages.register_template.fitting.fit_views import (
     Seen,
     first_pose,
     joined,
     misfit_of,
+    pose_from_landmarks,
     refine,
     track,
     with_scan,
 )
+from stages.register_template.fitting.landmark_terms import Targets
 from stages.register_template.fitting.rough_hull import rough_hull
 from stages.shared.body import BodyModel, Poses
 from stages.shared.capture import Take
@@ -57,21 +65,25 @@ def fit_takes(
     main = takes[0]
     anchor = main.scan_frame if scan is not None and main.scan_frame in main.frames else main.frames[0]
     report.step(f"fitting the body to frame {anchor} of {main.name}")
-    seen = with_scan(views_of(main, anchor, _CONTOUR_POINTS), scan)
+    seen = replace(_look(main, anchor, _CONTOUR_POINTS), scan=with_scan([], scan).scan)
     start = _start(body, main, anchor, seen, scan, report, effort)
     states = _all_frames(body, main, anchor, start, report)
     report.step("fitting one shape to several frames")
     state = _one_shape(body, main, anchor, states, seen, effort)
     poses: dict[str, Poses] = {}
     misfits: dict[str, float] = {}
+    checks: dict[str, Any] = {}
     for take in takes:
         if take is not main:
-            own = with_scan(views_of(take, take.frames[0], _CONTOUR_POINTS), None)
+            own = _look(take, take.frames[0], _CONTOUR_POINTS)
             begin = _start(body, take, take.frames[0], own, None, report, effort)
             states = _all_frames(body, take, take.frames[0], begin, report)
         report.step(f"polishing {take.name}")
-        poses[take.name], misfits[take.name] = _polished(body, take, states, state.betas, report)
-    return TakesFit(poses, {"misfit_m": misfits, "shape_from_frames": _spread(main.frames)})
+        check = FitCheck()
+        poses[take.name], misfits[take.name] = _polished(body, take, states, state.betas, check, report)
+        checks[take.name] = check.judge(take, state.betas, report)
+    told = {"misfit_m": misfits, "shape_from_frames": _spread(main.frames), "checks": checks}
+    return TakesFit(poses, told)
 
 
 def _start(
@@ -84,7 +96,24 @@ def _start(
     if scan is not None:
         state = fit_scan(body, scan, report, effort).state
         return refine(body, state, [seen], _TOGETHER[1:], effort, shape=True)
+    if seen.landmarks is not None and seen.landmarks.enough(body):
+        return _best_of_hypotheses(body, take, frame, seen, report, effort)
     return first_pose(body, rough_hull(take, frame), seen, report, effort)
+
+
+def _best_of_hypotheses(
+    body: BodyModel, take: Take, frame: int, seen: Seen, report: Report, effort: float
+) -> State:
+    """The pose that begins at the landmarks; where that does not end at them, also the one from the hull."""
+    state = pose_from_landmarks(body, seen, effort)
+    if not wrong_parts(body, state, 0, seen):
+        return state
+    other = first_pose(body, rough_hull(take, frame), seen, report, effort)
+
+    def cost(one: State) -> float:
+        return misfit_of(body, one, seen) + landmark_misfit(body, one, 0, seen)
+
+    return min((state, other), key=cost)
 
 
 def _all_frames(body: BodyModel, take: Take, anchor: int, start: State, report: Report) -> dict[int, State]:
@@ -108,14 +137,19 @@ def _one_shape(
 ) -> State:
     """Frames spread over the take, improved together with the shape they share."""
     frames = sorted({anchor, *_spread(take.frames)})
-    together = [seen if frame == anchor else Seen(views_of(take, frame, _CONTOUR_POINTS)) for frame in frames]
+    together = [seen if frame == anchor else _look(take, frame, _CONTOUR_POINTS) for frame in frames]
     state = joined([states[frame] for frame in frames])
     state.betas = states[anchor].betas.copy()
     return refine(body, state, together, _TOGETHER, effort, shape=True)
 
 
 def _polished(
-    body: BodyModel, take: Take, states: Mapping[int, State], betas: np.ndarray, report: Report
+    body: BodyModel,
+    take: Take,
+    states: Mapping[int, State],
+    betas: np.ndarray,
+    check: FitCheck,
+    report: Report,
 ) -> tuple[Poses, float]:
     """Poses of all frames with the shape that all share, and the median misfit of their contours, metres.
 
@@ -128,6 +162,7 @@ def _polished(
         state = with_shape(body, states[frame], betas)
         found[frame] = refine(body, state, [lazily[frame]], _POLISH, 1.0, shape=False)
         misfits[frame] = misfit_of(body, found[frame], lazily[frame])
+        check.add(body, frame, found[frame], lazily[frame])
         report.progress(number + 1, len(take.frames))
     usual = float(np.median(list(misfits.values())))
     lost = [frame for frame, value in misfits.items() if value > _LOST_TIMES * usual + _LOST_M]
@@ -148,6 +183,14 @@ def with_shape(body: BodyModel, state: State, betas: np.ndarray) -> State:
     return changed
 
 
+def _look(take: Take, frame: int, contour_points: int) -> Seen:
+    """The masks of a frame, and its landmarks where the take has some."""
+    landmarks = take_landmarks(take)
+    points = None if landmarks is None else landmarks.at(frame)
+    targets = None if points is None or not np.isfinite(points).any() else Targets(points)
+    return Seen(views_of(take, frame, contour_points), landmarks=targets)
+
+
 class _Views(dict[int, Seen]):
     """Masks of frames, read when asked for; only the last frame is kept."""
 
@@ -157,7 +200,7 @@ class _Views(dict[int, Seen]):
 
     def __missing__(self, frame: int) -> Seen:
         self.clear()
-        self[frame] = Seen(views_of(self._take, frame, _CONTOUR_POINTS_TRACKED))
+        self[frame] = _look(self._take, frame, _CONTOUR_POINTS_TRACKED)
         return self[frame]
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from stages.register_template.fitting.bones import State, SurfacePoints, bones_of, vertices_of
 from stages.register_template.fitting.contours import View
 from stages.register_template.fitting.fit_scan import ALL_BETAS, BODY_JOINTS, LEVELS, Level, fit_scan
+from stages.register_template.fitting.landmark_terms import Targets, first_state, landmark_residuals
 from stages.register_template.fitting.prior import Prior
 from stages.register_template.fitting.scan_terms import (
     ScanPoints,
@@ -36,15 +37,18 @@ _TRACK = ((0.08, 4, 0.2), (0.03, 5, 0.05))
 _SCAN_ROUND = LEVELS[-2]
 _NEAR_SPREAD = np.radians(20.0)  # that a joint turns between two frames
 _MISFIT_M = 0.10
+# Errors of masks are alike in all points of a contour: a view tells less about the shape than its points do.
+_SHAPE_WEIGHT = 15.0
 _NO_BETAS = np.arange(0)
 
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What is known of one frame: its masks, and a scan if there is one."""
+    """What is known of one frame: its masks, and a scan or landmarks if there are any."""
 
     views: Sequence[View]
     scan: ScanPoints | None = None
+    landmarks: Targets | None = None
 
 
 def first_pose(
@@ -58,6 +62,12 @@ def first_pose(
     """One frame from nothing: the hull of its masks as a rough scan, then contours (and the scan)."""
     rough = fit_scan(body, hull, report, effort, levels=levels)
     return refine(body, rough.state, [seen], _ROUNDS, effort, shape=True)
+
+
+def pose_from_landmarks(body: BodyModel, seen: Seen, effort: float = 1.0) -> State:
+    """One frame that starts from its landmarks and ends at its contours."""
+    assert seen.landmarks is not None
+    return refine(body, first_state(body, seen.landmarks), [seen], _ROUNDS[1:], effort, shape=True)
 
 
 def track(
@@ -94,7 +104,8 @@ def refine(
     """
     outer = outer_points(body, _OUTER_POINTS)
     free = Free(BODY_JOINTS, ALL_BETAS if shape else _NO_BETAS)
-    prior = prior or Prior()
+    views = sum(len(one.views) for one in seen)
+    prior = prior or Prior(shape_weight=max(1.0, _SHAPE_WEIGHT * views))
     for robust, steps, loosest in rounds:
         for _ in range(max(2, round(effort * steps))):
             bones = [bones_of(body, state, number) for number in range(len(seen))]
@@ -107,6 +118,8 @@ def refine(
                     one,
                     robust,
                     loosest,
+                    state,
+                    number,
                 )
                 for number, one in enumerate(seen)
             ]
@@ -143,6 +156,8 @@ def _terms(
     seen: Seen,
     robust: float,
     loosest: float,
+    state: State,
+    frame: int,
 ) -> list[Residuals]:
     terms, normals = [], face_normals(vertices, body.faces)[0]
     for view in seen.views:
@@ -152,4 +167,6 @@ def _terms(
         bound = seen.scan.bound_at_least(loosest)
         near = min(robust, _SCAN_ROUND.robust)
         terms += [from_scan(body, vertices, bound, near), from_body(outer, places, bound, near)]
+    if seen.landmarks is not None:
+        terms.append(landmark_residuals(body, state, frame, seen.landmarks, len(seen.views)))
     return [one for one in terms if len(one.values)]

@@ -35,6 +35,8 @@ _TABLE: dict[str, tuple[float, tuple[tuple[float, float], ...]]] = {
 }
 _FINGER_SPREAD, _STILL_SPREAD = 20.0, 1.0  # degrees; eyes and jaw stay
 SHAPE_SPREAD = 1.0
+SHAPE_LIMIT = 3.0  # standard deviations: of each beta, one person in 370 is beyond
+_SHAPE_WALL = 1e7
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,12 +48,14 @@ class Prior:
         near: (T, 55, 3) poses that each frame should stay close to, or None.
         near_spread: (55,) radians by which they may differ.
         shape_near: (10,) betas around which the shape spreads.
+        shape_weight: of the betas' spread against that of the joints.
     """
 
     weight: float = 1.0
     near: Doubles | None = None
     near_spread: Doubles | None = None
     shape_near: Doubles | None = None
+    shape_weight: float = 1.0
 
     def pose(self, rotations: Doubles, frame: int) -> tuple[Doubles, Doubles]:
         """Hessian (165, 165) and slope (165,) with respect to small turns of the joints in parents' axes."""
@@ -76,8 +80,12 @@ class Prior:
     def shape(self, betas: Doubles) -> tuple[Doubles, Doubles]:
         """Diagonal (10,) and slope (10,) with respect to the betas."""
         centre = np.zeros(SHAPE_COUNT) if self.shape_near is None else self.shape_near
-        precision = self.weight / SHAPE_SPREAD**2
-        return np.full(SHAPE_COUNT, precision), precision * (betas - centre)
+        precision = self.weight * self.shape_weight / SHAPE_SPREAD**2
+        # Contours and scans outweigh a normal prior by far. Nobody is shaped beyond the limits.
+        low, high = np.minimum(-SHAPE_LIMIT, centre), np.maximum(SHAPE_LIMIT, centre)
+        beyond = np.where(betas > high, betas - high, np.where(betas < low, betas - low, 0.0))
+        diagonal = np.full(SHAPE_COUNT, precision) + (beyond != 0) * _SHAPE_WALL
+        return diagonal, precision * (betas - centre) + _SHAPE_WALL * beyond
 
 
 def _angle_by_turn(vector: Doubles) -> Doubles:

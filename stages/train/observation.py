@@ -12,6 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from stages.shared.avatar.compose import compose
@@ -22,7 +23,7 @@ from stages.shared.avatar.fabric_fill import continue_fabric
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.avatar.pose import FramePose
 from stages.shared.capture import Camera
-from stages.shared.layers import BODY
+from stages.shared.layers import BODY, LAYER_OF_LABEL, LAYERS
 from stages.shared.splat.api import contributions
 
 Item = TypeVar("Item")
@@ -40,15 +41,18 @@ def observed_texels(
     frames: Sequence[int],
     cameras: Callable[[int], Sequence[Camera]],
     pose: Callable[[int], FramePose],
+    labels: Callable[[int, str], NDArray[np.uint8] | None] | None = None,
 ) -> dict[str, Tensor]:
     """(N,) bool per garment: texels that training pictures show, layers moved by the bones alone.
 
-    The shares of a texel's area that the pictures show must add up to `LEAST_VIEWS`. A texel whose neighbours
-    decide otherwise by a majority is decided as they are, so that no speckles are left.
+    The shares of a texel's area that the pictures show must add up to `LEAST_VIEWS`. Bones alone let a shirt
+    stick out of its vest in some poses; a picture does not count where its labels show a layer further out.
+    A texel whose neighbours decide otherwise by a majority is decided as they are, which removes speckles.
 
     Arguments:
         models: name to decoder, inner to outer. frames: of training. cameras: of training, of a frame.
-        pose: of a frame. At most `MOST_FRAMES` times `MOST_CAMERAS` pictures are drawn.
+        pose: of a frame. labels: label image (H, W) of a frame and a camera; None where there is none.
+        At most `MOST_FRAMES` times `MOST_CAMERAS` pictures are drawn.
     """
     shares: dict[str, Tensor] = {
         name: model.base_opacity.new_zeros(len(model.maps)) for name, model in models.items()
@@ -58,9 +62,12 @@ def observed_texels(
         for frame in _some(frames, MOST_FRAMES):
             posed = {name: _on_bones(model, pose(frame)) for name, model in models.items()}
             for camera in _some(cameras(frame), MOST_CAMERAS):
-                shown = _shares(posed, areas, camera)
-                for name, share in shown.items():
-                    shares[name] += share.clamp(max=1.0)
+                image = labels(frame, camera.name) if labels is not None else None
+                for name, share in _shares(posed, areas, camera).items():
+                    uncovered = share.clamp(max=1.0)
+                    if image is not None:
+                        uncovered = uncovered * ~_covered(posed[name].means, name, camera, image)
+                    shares[name] += uncovered
     return {
         name: _majority(share >= LEAST_VIEWS, models[name].maps.neighbours)
         for name, share in shares.items()
@@ -89,6 +96,17 @@ def fill_unobserved(model: Decoder) -> None:
         }
         for name, value in values.items():
             parameters[name][~observed] = value[~observed].to(parameters[name])
+
+
+def _covered(means: Tensor, layer: str, camera: Camera, labels: NDArray[np.uint8]) -> Tensor:
+    """(N,) bool: points whose pixel is labelled as a layer further out than their own."""
+    outer = LAYERS[LAYERS.index(layer) + 1 :] if layer in LAYERS else ()
+    over = np.zeros(256, bool)
+    over[[label for label, name in LAYER_OF_LABEL.items() if name in outer]] = True
+    pixels, _ = camera.project(means.cpu().numpy())
+    inside = camera.in_view(pixels)
+    column, row = np.where(inside[:, None], pixels, 0).astype(int).T
+    return torch.from_numpy(inside & over[labels[row, column]]).to(means.device)
 
 
 def _majority(chosen: Tensor, neighbours: Tensor) -> Tensor:

@@ -136,7 +136,8 @@ class Trainer:
         def cameras(frame: int) -> list[Camera]:
             return [sequence.camera(name, frame) for name in self.cameras]
 
-        for name, observed in observed_texels(self.models, self.frames, cameras, self.pose).items():
+        labels = (lambda frame, name: sequence.labels(name, frame)) if self.config.weights.label > 0 else None
+        for name, observed in observed_texels(self.models, self.frames, cameras, self.pose, labels).items():
             if name not in self.pretrained.decoders:
                 self.models[name].set_observed(observed)
 

@@ -47,7 +47,7 @@ def test_stripes_go_on_where_nothing_was_seen() -> None:
     maps = flat_maps()
     truth = stripes(maps)
     view, _, column = (part.numpy() for part in maps.window_texels)
-    seen = (view == 0) & (column < 18)
+    seen = (view == 0) & (column < 14)
     noise = np.random.default_rng(0).uniform(0, 1, truth.shape)
     start = torch.from_numpy(np.where(seen[:, None], truth, noise)).float()
     filled = continue_fabric(maps, start, seen).numpy()

@@ -52,6 +52,18 @@ def test_what_the_vest_covers_is_not_observed() -> None:
     assert found["outer"].numpy().mean() > 0.9
 
 
+def test_a_picture_does_not_count_where_its_labels_show_a_layer_further_out() -> None:
+    models = shirt_under_vest()
+    del models["outer"]  # as where bones let the shirt stick out of the vest
+    lower_half = np.full((160, 160), 3, np.uint8)
+    lower_half[:80] = 5  # the vest, above the middle
+    found = observed_texels(models, [0, 5], lambda frame: ring(), lambda frame: STILL, lambda *_: lower_half)  # type: ignore[arg-type]
+    x, height, _ = models["upper"].maps.positions.numpy().T  # type: ignore[attr-defined]
+    facing = np.abs(x) < 0.1
+    assert not found["upper"].numpy()[height > 0.03].any()
+    assert found["upper"].numpy()[facing & (height < -0.04)].all()
+
+
 def test_without_the_vest_all_of_the_shirt_is_observed() -> None:
     models = shirt_under_vest()
     del models["outer"]

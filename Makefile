@@ -30,7 +30,7 @@ $(READY): pyproject.toml constraints.txt
 demo: $(READY) ## synthesise two subjects, learn both, swap a skirt: demo/index.html
 	$(GW) demo -o $(DEMO) --preset $(PRESET)
 
-test: $(READY) ## the test suite (about 7 minutes on two cores)
+test: $(READY) ## the test suite
 	$(VENV)/bin/python -m pytest
 
 test-long: $(READY) ## the full-size versions of the checks

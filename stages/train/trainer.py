@@ -171,11 +171,8 @@ class Trainer:
             if name not in self.pretrained.frozen:
                 model.fit_mean(*self._local_poses(self.frames))
 
-    def step(self, number: int, elapsed: float, update: bool = True) -> StepReport:
-        """Learn from one frame, `elapsed` s into the run. A step that is not finite changes nothing.
-
-        Without `update` only the gradients are computed.
-        """
+    def step(self, number: int, elapsed: float) -> StepReport:
+        """Learn from one frame, `elapsed` s into the run. A step that is not finite changes nothing."""
         done = schedule.progress(self.config, number, elapsed)
         weights = schedule.stage_weights(self.config, done)
         choice = self._choice(number)
@@ -194,7 +191,7 @@ class Trainer:
         with clock("optimiser"):
             norm = self._gradient_norm()
             finite = math.isfinite(terms["total"]) and math.isfinite(norm)
-            if finite and update:
+            if finite:
                 self._update(schedule.rate_factor(self.config, done), norm, _LATER_KINDS if coarse else ())
         return StepReport(number, choice.frame, choice.cameras, finite, terms, norm, clock.seconds)
 

@@ -9,9 +9,11 @@ import resource
 import statistics
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
+from unittest.mock import patch
 
 import torch
 import typer
@@ -74,17 +76,23 @@ def run(
 
 
 def measure(trainer: Trainer, steps: int, report: Report, update: bool = True) -> dict[str, Any]:
+    """The phases of a few late steps; without `update` only gradients are computed."""
+    with nullcontext() if update else patch.object(trainer, "_update"):
+        return _measure(trainer, steps, report)
+
+
+def _measure(trainer: Trainer, steps: int, report: Report) -> dict[str, Any]:
     first = int(_SHARE_OF_RUN * trainer.config.steps)
     elapsed = _SHARE_OF_RUN * 60.0 * trainer.config.minutes
     report.step("steps")
     rows: list[dict[str, float]] = []
     kernels: list[dict[str, float]] = []
     with trainer.views.prefetcher.running():
-        trainer.step(first, elapsed, update)
+        trainer.step(first, elapsed)
         for number in range(first + 1, first + 1 + steps):
             started = time.perf_counter()
             with time_kernels() as seconds:
-                phases = trainer.step(number, elapsed, update).seconds
+                phases = trainer.step(number, elapsed).seconds
             rows.append({"step": time.perf_counter() - started, **phases})
             backward = sum(seconds.get(name, 0.0) for name in _BACKWARD_KERNELS)
             kernels.append({"forward": sum(seconds.values()) - backward, "backward": backward})

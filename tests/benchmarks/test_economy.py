@@ -38,6 +38,7 @@ def rows(subject: Path) -> dict[str, dict[str, Any]]:
     return found
 
 
+@pytest.mark.long
 def test_rows_leave_out_what_they_say(rows: dict[str, dict[str, Any]]) -> None:
     all_of_them = rows["step"]
     assert all(row["seconds"] > 0 for row in rows.values())
@@ -80,6 +81,7 @@ def test_a_larger_window_holds_the_same_texels(subject: Path) -> None:
             assert torch.allclose(one.means, other.means, atol=1e-6), "no network has learned anything yet"
 
 
+@pytest.mark.long
 def test_command_measures_every_row_in_its_process(
     rows: dict[str, dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -114,6 +116,7 @@ def test_one_row_by_itself_and_what_is_refused(subject: Path) -> None:
         economy.run(subject, subject, "tiny", EconomyConfig(steps=0))
 
 
+@pytest.mark.long
 def test_minutes_leave_rows_out_but_never_the_summary(
     rows: dict[str, dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -67,6 +67,7 @@ def kill_and_finish(stage: str, made: Path, folder: Path, kills: int, seed: int)
     assert verify(subject).damaged == []
 
 
+@pytest.mark.long
 def test_a_killed_stage_goes_on(made: Path, tmp_path: Path) -> None:
     kill_and_finish("bake-maps", made, tmp_path, 2, seed=1)
 

@@ -12,8 +12,6 @@ the smaller weights are found once for each and kept.
 from __future__ import annotations
 
 import weakref
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 
 import torch
@@ -23,7 +21,8 @@ from stages.shared.body.skeleton import JOINT_COUNT, JOINT_INDEX, LEFT_HAND, PAR
 
 AT_REST = 1e-6
 """Entries of two bones' transforms (1, and m) that differ by less are taken for the same."""
-_FEWEST = 256  # texels; fewer are skinned sooner than a pose is looked at
+FEWEST_TEXELS = 256
+"""Layers with fewer texels are skinned with all joints: that is faster than looking at the pose."""
 _MOST_KEPT = 8  # combinations of groups that are kept for one array of weights
 
 
@@ -46,24 +45,12 @@ _MEMBERS = torch.tensor([joint for group in GROUPS.values() for joint in group.m
 _CARRIERS = torch.tensor([group.carrier for group in GROUPS.values() for _ in group.members])
 _SIZES = [len(group.members) for group in GROUPS.values()]
 
-_every_joint = False
 _kept: dict[int, tuple[weakref.ref[Tensor], int, dict[tuple[bool, ...], tuple[Tensor, Tensor]]]] = {}
-
-
-@contextmanager
-def every_joint() -> Iterator[None]:
-    """Skin with all joints inside the block: for measuring and for tests."""
-    global _every_joint
-    before, _every_joint = _every_joint, True
-    try:
-        yield
-    finally:
-        _every_joint = before
 
 
 def used(weights: Tensor, transforms: Tensor) -> tuple[Tensor, Tensor]:
     """Weights (N, K) and bone transforms (K, 4, 4) that blend to the same as (N, 55) and (55, 4, 4)."""
-    if _every_joint or len(weights) < _FEWEST or tuple(transforms.shape) != (JOINT_COUNT, 4, 4):
+    if len(weights) < FEWEST_TEXELS or tuple(transforms.shape) != (JOINT_COUNT, 4, 4):
         return weights, transforms
     if weights.requires_grad or transforms.requires_grad or not bool(torch.isfinite(transforms.sum())):
         return weights, transforms  # what is not finite is for the caller to refuse

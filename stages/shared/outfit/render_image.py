@@ -59,7 +59,6 @@ def render_image(
     each_layer: bool = False,
     backend: str = "auto",
     settings: SplatSettings = SplatSettings(),
-    whole_layers: bool = False,
 ) -> RenderedImage:
     """Render a composite through a camera.
 
@@ -67,8 +66,6 @@ def render_image(
         penetration: run the penetration pass with these tolerances; None leaves the splats as they are.
         each_layer: also return every layer alone.
         settings: of the splatting.
-        whole_layers: draw every layer alone over the whole picture for the pass, also where no pixel depends
-            on it; the same picture, later (for measuring).
 
     Raises:
         UsageProblem: cut-offs that are not possible.
@@ -83,7 +80,7 @@ def render_image(
             )
             nothing = None if penetration is None else np.zeros(tuple(picture.alpha.shape), bool)
             return _shot(picture, composite.layers, repaired=nothing)
-        on_lists = not (each_layer or whole_layers) and _on_cpu(composite, backend)
+        on_lists = not each_layer and _on_cpu(composite, backend)
         if on_lists and penetration is not None:
             from stages.shared.splat.cpu_layers import layered_view
 

@@ -19,6 +19,7 @@ from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import torch
@@ -27,8 +28,8 @@ from stages.shared.artifacts import write_whole
 from stages.shared.artifacts.canonical import readable_json
 from stages.shared.avatar.compose import compose
 from stages.shared.avatar.maps import LayerMaps
-from stages.shared.avatar.used_joints import every_joint
 from stages.shared.errors import UsageProblem
+from stages.shared.outfit import render_image as image_module
 from stages.shared.outfit.cached_poser import CachedPoser
 from stages.shared.outfit.outfit import Outfit
 from stages.shared.outfit.parallel_frames import parallel_frames
@@ -45,6 +46,7 @@ from stages.train.views import View
 from tests.benchmarks.economy.table import compared, markdown, summed_up
 from tests.benchmarks.process import run_module
 from tests.benchmarks.step import TimingConfig, measure
+from tests.every_joint import every_joint
 
 STEP_ROWS: dict[str, str] = {
     "step": "all economies",
@@ -236,15 +238,19 @@ def _timed_frames(
     def work(player: CachedPoser, view: View) -> RenderedImage:
         row = shown[0].frame if still else view.frame
         composite = (outfit if plain else player).composite(poses, row)
-        return render_image(composite, view.camera, PenetrationConfig(), whole_layers=whole_layers)
+        return render_image(composite, view.camera, PenetrationConfig())
 
     ahead = 2 * threads  # frames in flight when the clock starts
     items = shown[:1] * ahead + shown * _PASSES
     times, errors = [], []
-    for index, shot in enumerate(parallel_frames(outfit, items, work, threads, hidden, name != "still-anew")):
-        times.append(time.perf_counter())
-        if ahead <= index < ahead + len(shown):
-            errors.append(_psnr(shot.color, shown[index - ahead]))
+    every_layer = patch.object(image_module, "_on_cpu", return_value=False) if whole_layers else nullcontext()
+    with every_layer:  # without tile lists, the penetration pass draws every layer over the whole picture
+        for index, shot in enumerate(
+            parallel_frames(outfit, items, work, threads, hidden, name != "still-anew")
+        ):
+            times.append(time.perf_counter())
+            if ahead <= index < ahead + len(shown):
+                errors.append(_psnr(shot.color, shown[index - ahead]))
     ends = [times[ahead - 1 + turn * len(shown)] for turn in range(_PASSES + 1)]
     return {
         "seconds": statistics.median(np.diff(ends)) / len(shown),

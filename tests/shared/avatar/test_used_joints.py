@@ -12,8 +12,9 @@ from torch import Tensor
 from stages.shared.avatar import used_joints
 from stages.shared.avatar.deform import blended
 from stages.shared.avatar.pose import frame_pose
-from stages.shared.avatar.used_joints import GROUPS, at_rest, describe_rest, every_joint, used
+from stages.shared.avatar.used_joints import GROUPS, at_rest, describe_rest, used
 from stages.shared.body import JOINT_INDEX, embedded_body
+from tests.every_joint import every_joint
 
 NAMES = list(GROUPS)
 

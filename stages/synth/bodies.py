@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from stages.shared.body import JOINT_INDEX, BodyModel, Poses, bone_transforms, shaped_joints, skin
 from stages.shared.body.skeleton import PARENTS
 
-Floats = NDArray[np.float64]
+Doubles = NDArray[np.float64]
 
 TORSO = ("pelvis", "spine1", "spine2", "spine3")
 LEGS = ("left_hip", "right_hip", "left_knee", "right_knee")
@@ -85,8 +85,12 @@ def betas_of(body: BodyModel, person: Person) -> NDArray[np.float32]:
 
 
 def _radial(
-    template: Floats, directions: Floats, joints: Floats, owner: NDArray[np.integer], names: tuple[str, ...]
-) -> Floats:
+    template: Doubles,
+    directions: Doubles,
+    joints: Doubles,
+    owner: NDArray[np.integer],
+    names: tuple[str, ...],
+) -> Doubles:
     """(10,) mean change of the horizontal distance from the bone, over the vertices those joints own."""
     rows = []
     for name in names:
@@ -107,24 +111,24 @@ class ShapedBody:
         self.betas = betas
         shape = torch.from_numpy(np.asarray(betas, np.float64))
         self._joints = shaped_joints(model, shape)
-        self.rest_vertices: Floats = (
+        self.rest_vertices: Doubles = (
             model.template_vertices.astype(np.float64) + model.shape_directions.astype(np.float64) @ betas
         )
-        self.joints: Floats = self._joints.numpy()
+        self.joints: Doubles = self._joints.numpy()
         self.faces = np.ascontiguousarray(model.faces, dtype=np.int64)
-        self.weights: Floats = model.skin_weights.astype(np.float64)
+        self.weights: Doubles = model.skin_weights.astype(np.float64)
 
-    def transforms(self, rotations: NDArray[np.floating], translation: NDArray[np.floating]) -> Floats:
+    def transforms(self, rotations: NDArray[np.floating], translation: NDArray[np.floating]) -> Doubles:
         """(..., 55, 4, 4) posed_from_rest of (..., 55, 3) axis-angle and (..., 3) metres."""
         turned = torch.from_numpy(np.asarray(rotations, np.float64))
         moved = torch.from_numpy(np.asarray(translation, np.float64))
         return bone_transforms(turned, self._joints, PARENTS, moved).numpy()
 
-    def pose(self, points: Floats, weights: Floats, transforms: Floats) -> Floats:
+    def pose(self, points: Doubles, weights: Doubles, transforms: Doubles) -> Doubles:
         """(..., V, 3) of rest points (V, 3), weights (V, 55), transforms (..., 55, 4, 4)."""
         return skin(torch.from_numpy(points), torch.from_numpy(weights), torch.from_numpy(transforms)).numpy()
 
-    def posed(self, rotations: NDArray[np.floating]) -> Floats:
+    def posed(self, rotations: NDArray[np.floating]) -> Doubles:
         """(V, 3) own surface in one pose (55, 3), pelvis where the rest pose has it."""
         return self.pose(self.rest_vertices, self.weights, self.transforms(rotations, np.zeros(3)))
 

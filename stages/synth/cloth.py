@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from stages.shared.meshes import edges as edges_of
 
-Floats = NDArray[np.float64]
+Doubles = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 GRAVITY = -9.81
@@ -33,14 +33,14 @@ class ClothModel:
     """
 
     edges: Indices
-    rest_lengths: Floats
+    rest_lengths: Doubles
     wings: Indices
-    wing_lengths: Floats
+    wing_lengths: Doubles
     bend_compliance: float = 1e-4
     drag: float = 1.6
 
 
-def cloth_model(vertices: Floats, faces: Indices) -> ClothModel:
+def cloth_model(vertices: Doubles, faces: Indices) -> ClothModel:
     """Constraints of a garment whose unstretched shape is given (V, 3) metres, faces (F, 3)."""
     edges = edges_of(faces).astype(np.int64)
     edges = edges[np.lexsort((edges[:, 1], -vertices[edges].mean(axis=1)[:, 1].round(3)))]
@@ -48,7 +48,7 @@ def cloth_model(vertices: Floats, faces: Indices) -> ClothModel:
     return ClothModel(edges, _lengths(vertices, edges), wings, _lengths(vertices, wings))
 
 
-def stretch_of(model: ClothModel, positions: Floats) -> Floats:
+def stretch_of(model: ClothModel, positions: Doubles) -> Doubles:
     """(E,) length of each edge over its rest length."""
     return _lengths(positions, model.edges) / model.rest_lengths
 
@@ -167,7 +167,7 @@ def area_normals(positions, faces, normals):  # type: ignore[no-untyped-def]
             normals[i, k] /= length
 
 
-def _lengths(points: Floats, pairs: Indices) -> Floats:
+def _lengths(points: Doubles, pairs: Indices) -> Doubles:
     return np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1)
 
 

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from stages.synth.offset_surface import border_vertices
 
-Floats = NDArray[np.float64]
+Doubles = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 REACH = 0.07  # metres: cloth farther away at the start of a frame cannot arrive within it
@@ -51,11 +51,11 @@ class Collider:
         self.border = border_vertices(count, self.faces) if not self.closed else np.zeros(count, dtype=bool)
         self._candidates = np.flatnonzero(self.usable)
 
-    def tree(self, surface: Floats) -> cKDTree:
+    def tree(self, surface: Doubles) -> cKDTree:
         """Search tree over the usable vertices of the surface (V, 3) where it is now."""
         return cKDTree(surface[self._candidates])
 
-    def nearest(self, tree: cKDTree, points: Floats) -> Indices:
+    def nearest(self, tree: cKDTree, points: Doubles) -> Indices:
         """(N,) nearest usable surface vertex of each point, −1 beyond reach."""
         distance, index = tree.query(points, distance_upper_bound=REACH)
         found = np.isfinite(distance)

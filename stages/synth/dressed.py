@@ -16,7 +16,7 @@ from stages.synth.garments import Garment
 from stages.synth.textures import ROW_LENGTH, VERTEX_COLORS
 from stages.synth.transfer_attributes import transfer_attributes
 
-Floats = NDArray[np.float64]
+Doubles = NDArray[np.float64]
 
 HAIR, SHOE = label_id("hair"), label_id("shoe")
 
@@ -33,9 +33,9 @@ class Bound:
 
     name: str
     label: int
-    vertices: Floats
+    vertices: Doubles
     faces: NDArray[np.int64]
-    weights: Floats
+    weights: Doubles
     color: tuple[float, float, float]
 
 
@@ -56,10 +56,10 @@ class Look:
     faces: NDArray[np.int64]
     face_label: NDArray[np.uint8]
     face_fabric: NDArray[np.int64]
-    corner_uv: Floats
-    vertex_colors: Floats
+    corner_uv: Doubles
+    vertex_colors: Doubles
     vertex_label: NDArray[np.uint8]
-    fabrics: Floats
+    fabrics: Doubles
     parts: tuple[tuple[str, int, int], ...]
 
 
@@ -89,7 +89,7 @@ def look_of(body: ShapedBody, person: Person, bound: list[Bound], garments: list
     start = 0
 
     def append(
-        name: str, label: int, count: int, triangles: NDArray[np.int64], color: Floats, row: int, uv: Floats
+        name: str, label: int, count: int, triangles: NDArray[np.int64], color: Doubles, row: int, uv: Doubles
     ) -> None:
         nonlocal start
         faces.append(triangles + start)
@@ -125,7 +125,7 @@ def look_of(body: ShapedBody, person: Person, bound: list[Bound], garments: list
 
 def vertices_at(
     frame: int, body: ShapedBody, poses: Poses, bound: list[Bound], cloth: list[NDArray[np.float32]]
-) -> Floats:
+) -> Doubles:
     """(V, 3) metres, world: all vertices of the dressed person in one frame, in the order of `Look`."""
     transforms = body.transforms(poses.rotations[frame], poses.translation[frame])
     pieces = [body.pose(body.rest_vertices, body.weights, transforms)]
@@ -134,7 +134,7 @@ def vertices_at(
     return np.concatenate(pieces)
 
 
-def _body_colors(body: ShapedBody, person: Person) -> Floats:
+def _body_colors(body: ShapedBody, person: Person) -> Doubles:
     """(V, 3) sRGB: skin, a little redder at hands and face, eyes with dark irises."""
     owner = body.weights.argmax(axis=1)
     colors = np.tile(np.array(person.skin), (len(owner), 1))
@@ -154,7 +154,7 @@ def _body_colors(body: ShapedBody, person: Person) -> Floats:
     return np.clip(colors, 0.0, 1.0)
 
 
-def _shaded(piece: Bound) -> Floats:
+def _shaded(piece: Bound) -> Doubles:
     """(V, 3) sRGB: strands of hair by angle, a lighter sole."""
     colors = np.tile(np.array(piece.color), (len(piece.vertices), 1))
     points = piece.vertices

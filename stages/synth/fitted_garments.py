@@ -11,7 +11,7 @@ from stages.shared.body import JOINT_INDEX
 from stages.synth.bodies import ShapedBody
 from stages.synth.offset_surface import DistanceGrid, shell
 
-Floats = NDArray[np.float64]
+Doubles = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,10 +25,10 @@ class Cut:
         pinned: (V,) f64, 0 free … 1 moves with the bones.
     """
 
-    vertices: Floats
+    vertices: Doubles
     faces: NDArray[np.int64]
-    corner_uv: Floats
-    pinned: Floats
+    corner_uv: Doubles
+    pinned: Doubles
 
 
 def t_shirt(mean: ShapedBody, spacing: float) -> Cut:
@@ -38,12 +38,12 @@ def t_shirt(mean: ShapedBody, spacing: float) -> Cut:
     sleeve = shoulder[0] + 0.52 * (elbow[0] - shoulder[0])
     throat = neck + np.array([0.0, 0.02, 0.035])
 
-    def offset(points: Floats) -> Floats:
+    def offset(points: Doubles) -> Doubles:
         down = np.clip((shoulder[1] - points[:, 1]) / (shoulder[1] - hem), 0.0, 1.0)
         out = np.clip((np.abs(points[:, 0]) - shoulder[0]) / (sleeve - shoulder[0]), 0.0, 1.0)
         return 0.011 + 0.016 * down + 0.008 * out
 
-    def outside(points: Floats) -> Floats:
+    def outside(points: Doubles) -> Doubles:
         opening = 0.092 - np.linalg.norm((points - throat) * (1.0, 0.85, 1.0), axis=1)
         return np.maximum.reduce([np.abs(points[:, 0]) - sleeve, hem - points[:, 1], opening])
 
@@ -60,11 +60,11 @@ def open_vest(mean: ShapedBody, spacing: float) -> Cut:
     hem = _joint(mean, "pelvis")[1] - 0.01
     throat = neck + np.array([0.0, 0.02, 0.04])
 
-    def offset(points: Floats) -> Floats:
+    def offset(points: Doubles) -> Doubles:
         down = np.clip((shoulder[1] - points[:, 1]) / (shoulder[1] - hem), 0.0, 1.0)
         return 0.024 + 0.022 * down
 
-    def outside(points: Floats) -> Floats:
+    def outside(points: Doubles) -> Doubles:
         side = np.abs(points[:, 0])
         neckline = 0.108 - np.linalg.norm((points - throat) * (1.0, 0.85, 1.0), axis=1)
         gap = 0.045 + 0.05 * np.clip((points[:, 1] - hem) / (shoulder[1] - hem), 0.0, 1.0)
@@ -88,11 +88,11 @@ def trousers(mean: ShapedBody, spacing: float) -> Cut:
     pelvis, hip, ankle = _joint(mean, "pelvis"), _joint(mean, "left_hip"), _joint(mean, "left_ankle")
     top, bottom = pelvis[1] + 0.075, ankle[1] + 0.055
 
-    def offset(points: Floats) -> Floats:
+    def offset(points: Doubles) -> Doubles:
         down = np.clip((hip[1] - points[:, 1]) / (hip[1] - bottom), 0.0, 1.0)
         return 0.009 + 0.020 * np.minimum(down * 2.0, 1.0)
 
-    def outside(points: Floats) -> Floats:
+    def outside(points: Doubles) -> Doubles:
         return np.maximum.reduce([points[:, 1] - top, bottom - points[:, 1], np.abs(points[:, 0]) - 0.42])
 
     grid = _grid(mean, (-0.42, bottom - 0.05, -0.28), (0.42, top + 0.05, 0.32), spacing)
@@ -101,16 +101,16 @@ def trousers(mean: ShapedBody, spacing: float) -> Cut:
     return Cut(vertices, faces, _leg_uv(vertices, faces, mean), pinned)
 
 
-def hair_cap(mean: ShapedBody, spacing: float, length: float) -> tuple[Floats, NDArray[np.int64]]:
+def hair_cap(mean: ShapedBody, spacing: float, length: float) -> tuple[Doubles, NDArray[np.int64]]:
     """Hair as a cap; `length` metres below the ears at the back (negative: shorter)."""
     head, crown = _joint(mean, "head"), mean.rest_vertices[:, 1].max()
     ear = head[1] + 0.42 * (crown - head[1])
     brow = head[1] + 0.74 * (crown - head[1])
 
-    def offset(points: Floats) -> Floats:
+    def offset(points: Doubles) -> Doubles:
         return np.full(len(points), 0.013)
 
-    def outside(points: Floats) -> Floats:
+    def outside(points: Doubles) -> Doubles:
         forward = np.clip((points[:, 2] - head[2] - 0.005) / 0.05, 0.0, 1.0)
         limit = ear - length + forward * (brow - ear + length)
         return limit - points[:, 1]
@@ -119,15 +119,15 @@ def hair_cap(mean: ShapedBody, spacing: float, length: float) -> tuple[Floats, N
     return shell(grid, offset, outside)
 
 
-def shoe(mean: ShapedBody, spacing: float, side: int) -> tuple[Floats, NDArray[np.int64]]:
+def shoe(mean: ShapedBody, spacing: float, side: int) -> tuple[Doubles, NDArray[np.int64]]:
     """One shoe: 9 mm off the foot, toes bridged, thicker below; side +1 left, −1 right."""
     ankle = _joint(mean, "left_ankle" if side > 0 else "right_ankle")
     sole = mean.rest_vertices[:, 1].min()
 
-    def offset(points: Floats) -> Floats:
+    def offset(points: Doubles) -> Doubles:
         return 0.009 + 0.010 * np.clip((sole + 0.03 - points[:, 1]) / 0.03, 0.0, 1.0)
 
-    def outside(points: Floats) -> Floats:
+    def outside(points: Doubles) -> Doubles:
         return np.maximum(points[:, 1] - ankle[1] - 0.012, 0.03 - side * points[:, 0])
 
     low = np.array([ankle[0] - 0.14, sole - 0.05, -0.24])
@@ -135,7 +135,7 @@ def shoe(mean: ShapedBody, spacing: float, side: int) -> tuple[Floats, NDArray[n
     return shell(_grid(mean, tuple(low), tuple(high), spacing, blur=0.7), offset, outside)
 
 
-def _joint(mean: ShapedBody, name: str) -> Floats:
+def _joint(mean: ShapedBody, name: str) -> Doubles:
     return mean.joints[JOINT_INDEX[name]]
 
 
@@ -149,7 +149,7 @@ def _grid(
     return DistanceGrid(mean.rest_vertices, mean.faces, np.array(lower), np.array(upper), spacing, blur)
 
 
-def _torso_uv(vertices: Floats, faces: NDArray[np.int64], mean: ShapedBody, sleeve_from: float) -> Floats:
+def _torso_uv(vertices: Doubles, faces: NDArray[np.int64], mean: ShapedBody, sleeve_from: float) -> Doubles:
     """(F, 3, 2) u around the torso from the front, v up; on sleeves u around the arm, v outwards."""
     corners = vertices[faces]
     axis = np.array([0.0, 0.0, _joint(mean, "spine2")[2] + 0.01])
@@ -168,7 +168,7 @@ def _torso_uv(vertices: Floats, faces: NDArray[np.int64], mean: ShapedBody, slee
     return uv
 
 
-def _leg_uv(vertices: Floats, faces: NDArray[np.int64], mean: ShapedBody) -> Floats:
+def _leg_uv(vertices: Doubles, faces: NDArray[np.int64], mean: ShapedBody) -> Doubles:
     """(F, 3, 2) u around the leg (each half of the seat belongs to its leg), v up."""
     corners = vertices[faces]
     side = np.where(corners[..., 0].mean(axis=1) >= 0, 1.0, -1.0)[:, None]
@@ -180,7 +180,7 @@ def _leg_uv(vertices: Floats, faces: NDArray[np.int64], mean: ShapedBody) -> Flo
     return np.stack([side * 0.098 * angle, corners[..., 1]], axis=-1)
 
 
-def _around(x: Floats, z: Floats, all_x: Floats, all_z: Floats) -> Floats:
+def _around(x: Doubles, z: Doubles, all_x: Doubles, all_z: Doubles) -> Doubles:
     """Arc length along the mean outline, by angle from the front (+z); continuous within a triangle."""
     bins = np.linspace(-np.pi, np.pi, 49)
     angle_all = np.arctan2(all_x, all_z)
@@ -196,10 +196,10 @@ def _around(x: Floats, z: Floats, all_x: Floats, all_z: Floats) -> Floats:
     return np.interp(angle - 2 * np.pi * turns, bins, arc) + turns * (arc[-1] - arc[0])
 
 
-def _median(values: Floats) -> float:
+def _median(values: Doubles) -> float:
     return float(np.median(values)) if len(values) else 0.14
 
 
-def _unwrapped(angle: Floats) -> Floats:
+def _unwrapped(angle: Doubles) -> Doubles:
     """(F, 3) angles of a triangle's corners without a jump of 2π between them."""
     return angle[:, :1] + (angle - angle[:, :1] + np.pi) % (2 * np.pi) - np.pi

@@ -24,7 +24,7 @@ from stages.synth.skirt import flared_skirt
 from stages.synth.textures import ARGYLE, CHECKS, DOTS, STRIPES, TARTAN, Fabric
 from stages.synth.transfer_attributes import transfer_attributes
 
-Floats = NDArray[np.float64]
+Doubles = NDArray[np.float64]
 
 UPPER, LOWER, OUTER = label_of("upper"), label_of("lower"), label_of("outer")
 
@@ -47,11 +47,11 @@ class Garment:
 
     name: str
     label: int
-    vertices: Floats
+    vertices: Doubles
     faces: NDArray[np.int64]
-    corner_uv: Floats
-    skin_weights: Floats
-    pinned: Floats
+    corner_uv: Doubles
+    skin_weights: Doubles
+    pinned: Doubles
     fabric: Fabric
     distance: float
 

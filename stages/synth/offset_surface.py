@@ -18,9 +18,9 @@ from scipy.sparse import coo_matrix, csr_matrix
 
 from stages.shared.meshes import boundary_edges, components, edges, keep_faces
 
-Floats = NDArray[np.float64]
+Doubles = NDArray[np.float64]
 Faces = NDArray[np.int64]
-Field = Callable[[Floats], Floats]  # (N, 3) m -> (N,) m
+Field = Callable[[Doubles], Doubles]  # (N, 3) m -> (N,) m
 
 
 class DistanceGrid:
@@ -28,27 +28,33 @@ class DistanceGrid:
     edges along the body's plane of symmetry."""
 
     def __init__(
-        self, vertices: Floats, faces: Faces, lower: Floats, upper: Floats, spacing: float, blur: float = 0.8
+        self,
+        vertices: Doubles,
+        faces: Faces,
+        lower: Doubles,
+        upper: Doubles,
+        spacing: float,
+        blur: float = 0.8,
     ) -> None:
         first = np.floor(np.asarray(lower) / spacing) * spacing
         first[0] -= 0.5 * spacing
         counts = np.ceil((np.asarray(upper) - first) / spacing).astype(int) + 1
         axes = [first[k] + spacing * np.arange(counts[k]) for k in range(3)]
         self.spacing, self.first = spacing, first
-        self.nodes: Floats = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+        self.nodes: Doubles = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
         distance = igl.signed_distance(
             self.nodes.reshape(-1, 3), vertices, faces, sign_type=igl.SIGNED_DISTANCE_TYPE_FAST_WINDING_NUMBER
         )[0]
         # A little blur bridges navel, armpit and crotch as cloth does.
-        self.values: Floats = gaussian_filter(distance.reshape(tuple(counts)), blur, mode="nearest")
+        self.values: Doubles = gaussian_filter(distance.reshape(tuple(counts)), blur, mode="nearest")
 
-    def at(self, points: Floats) -> Floats:
+    def at(self, points: Doubles) -> Doubles:
         """(N,) signed distance, metres, trilinear."""
         coordinates = (points - self.first) / self.spacing
         return map_coordinates(self.values, coordinates.T, order=1, mode="nearest")
 
 
-def shell(grid: DistanceGrid, offset: Field, inside: Field) -> tuple[Floats, Faces]:
+def shell(grid: DistanceGrid, offset: Field, inside: Field) -> tuple[Doubles, Faces]:
     """The surface at `offset(p)` metres from the body, where `inside(p)` is negative.
 
     Arguments:
@@ -62,7 +68,7 @@ def shell(grid: DistanceGrid, offset: Field, inside: Field) -> tuple[Floats, Fac
     level = grid.values - offset(grid.nodes.reshape(-1, 3)).reshape(shape)
     vertices, faces = surface_nets(level, grid.first, grid.spacing)
 
-    def level_at(points: Floats) -> Floats:
+    def level_at(points: Doubles) -> Doubles:
         return grid.at(points) - offset(points)
 
     faces = faces[inside(vertices[faces].mean(axis=1)) < 0]
@@ -75,7 +81,7 @@ def shell(grid: DistanceGrid, offset: Field, inside: Field) -> tuple[Floats, Fac
     return vertices, faces
 
 
-def surface_nets(level: Floats, first: Floats, spacing: float) -> tuple[Floats, Faces]:
+def surface_nets(level: Doubles, first: Doubles, spacing: float) -> tuple[Doubles, Faces]:
     """Zero surface of a grid (X, Y, Z): vertices (V, 3) m, faces (F, 3), normals towards positive."""
     negative = level < 0
     sums = np.zeros(tuple(n - 1 for n in level.shape) + (3,))
@@ -116,7 +122,7 @@ def neighbour_mean(count: int, pairs: NDArray[np.integer]) -> csr_matrix:
     return csr_matrix(matrix.multiply(1.0 / degree[:, None]))
 
 
-def largest_piece(vertices: Floats, faces: Faces) -> tuple[Floats, Faces]:
+def largest_piece(vertices: Doubles, faces: Faces) -> tuple[Doubles, Faces]:
     """Keep the connected piece with most faces, and only the vertices that faces use."""
     piece = components(faces, len(vertices))[faces[:, 0]]
     kept, used = keep_faces(faces, piece == np.bincount(piece).argmax(), len(vertices))
@@ -134,7 +140,7 @@ def _without_spikes(faces: Faces) -> Faces:
         faces = faces[shared > 1]
 
 
-def _relax(vertices: Floats, faces: Faces, border: NDArray[np.bool_]) -> Floats:
+def _relax(vertices: Doubles, faces: Faces, border: NDArray[np.bool_]) -> Doubles:
     """Half a step towards the neighbours' mean; border vertices look at border neighbours only."""
     all_edges = edges(faces)
     along = all_edges[border[all_edges].all(axis=1)]
@@ -144,7 +150,7 @@ def _relax(vertices: Floats, faces: Faces, border: NDArray[np.bool_]) -> Floats:
     return vertices + 0.5 * (target - vertices)
 
 
-def _newton(points: Floats, field: Field, step: float = 0.004) -> Floats:
+def _newton(points: Doubles, field: Field, step: float = 0.004) -> Doubles:
     """One step along the gradient to the zero of the field, limited to two centimetres."""
     value = field(points)
     gradient = np.stack(
@@ -192,7 +198,7 @@ def _quads(negative: NDArray[np.bool_], index: Faces, axis: int) -> Faces:
     return np.concatenate(both)
 
 
-def _split(vertices: Floats, quads: Faces) -> Faces:
+def _split(vertices: Doubles, quads: Faces) -> Faces:
     """Two triangles per quad, along the shorter diagonal."""
     first = np.linalg.norm(vertices[quads[:, 0]] - vertices[quads[:, 2]], axis=1)
     second = np.linalg.norm(vertices[quads[:, 1]] - vertices[quads[:, 3]], axis=1)

@@ -16,7 +16,7 @@ from stages.synth.collision import Collider, push_out
 from stages.synth.garments import Garment
 from stages.synth.motion import FPS
 
-Floats = NDArray[np.float64]
+Doubles = NDArray[np.float64]
 
 BODY_FRICTION = 0.45
 CLOTH_FRICTION = 0.2
@@ -31,10 +31,10 @@ class _Worn:
 
     garment: Garment
     model: cloth.ClothModel
-    positions: Floats
-    previous: Floats
-    velocities: Floats
-    normals: Floats
+    positions: Doubles
+    previous: Doubles
+    velocities: Doubles
+    normals: Doubles
     collider: Collider
     on_body: NDArray[np.int64]
     on_cloth: list[NDArray[np.int64]]
@@ -96,11 +96,11 @@ def simulate(
 def _step(
     one: _Worn,
     below: list[_Worn],
-    target: Floats,
+    target: Doubles,
     collider: Collider,
-    surface: Floats,
-    surface_before: Floats,
-    normals: Floats,
+    surface: Doubles,
+    surface_before: Doubles,
+    normals: Doubles,
     seconds: float,
 ) -> None:
     """One small step of one garment: inertia, cloth constraints, pins, layers below, body."""
@@ -126,7 +126,7 @@ def _step(
     cloth.area_normals(one.positions, one.collider.faces, one.normals)
 
 
-def _put_on(body: ShapedBody, garment: Garment, transforms: Floats) -> _Worn:
+def _put_on(body: ShapedBody, garment: Garment, transforms: Doubles) -> _Worn:
     positions = body.pose(garment.vertices, garment.skin_weights, transforms)
     normals = np.zeros_like(positions)
     cloth.area_normals(positions, garment.faces, normals)
@@ -139,7 +139,7 @@ def _put_on(body: ShapedBody, garment: Garment, transforms: Floats) -> _Worn:
     )
 
 
-def _find_contacts(worn: list[_Worn], collider: Collider, surface: Floats) -> None:
+def _find_contacts(worn: list[_Worn], collider: Collider, surface: Doubles) -> None:
     """The nearest surface vertex of every cloth vertex, for the coming frame."""
     on_body = collider.tree(surface)
     on_cloth = [one.collider.tree(one.positions) for one in worn[:-1]]
@@ -151,7 +151,7 @@ def _find_contacts(worn: list[_Worn], collider: Collider, surface: Floats) -> No
         ]
 
 
-def _with_run_up(poses: Poses, settle_frames: int) -> tuple[Floats, Floats]:
+def _with_run_up(poses: Poses, settle_frames: int) -> tuple[Doubles, Doubles]:
     """(S+T, 55, 3), (S+T, 3): from the rest pose smoothly into frame 0, a wait, then the motion."""
     moving = max(2 * settle_frames // 3, 1)
     share = np.clip(np.arange(settle_frames) / moving, 0.0, 1.0)

@@ -10,12 +10,14 @@ from stages.shared.meshes import edges
 from stages.synth.bodies import ShapedBody
 from stages.synth.offset_surface import border_vertices, neighbour_mean
 
-Floats = NDArray[np.float64]
+Doubles = NDArray[np.float64]
 
 _HAND_PARTS = ("wrist", "thumb", "index", "middle", "ring", "pinky")
 
 
-def transfer_attributes(points: Floats, faces: NDArray[np.int64], mean: ShapedBody, values: Floats) -> Floats:
+def transfer_attributes(
+    points: Doubles, faces: NDArray[np.int64], mean: ShapedBody, values: Doubles
+) -> Doubles:
     """(V, K) values of the body at garment points: inverse distance over 24 vertices, then diffused."""
     names = mean.model.joint_names
     hands = [joint for joint, name in enumerate(names) if any(part in name for part in _HAND_PARTS)]

@@ -14,7 +14,7 @@ from stages.synth.dressed import Look
 from stages.synth.garments import Garment
 from stages.synth.textures import fabric_color
 
-Floats = NDArray[np.float64]
+Doubles = NDArray[np.float64]
 Faces = NDArray[np.int64]
 
 _GARMENT_SUBDIVISIONS = 2  # cloth triangles of 17 mm become 4 mm, fine enough for the patterns
@@ -36,7 +36,7 @@ def garment_truth(garments: list[Garment], cloth: list[NDArray[np.float32]], fra
     return npz_bytes(arrays)
 
 
-def scan(look: Look, vertices: Floats) -> bytes:
+def scan(look: Look, vertices: Doubles) -> bytes:
     """Content of `scan.ply`: what a scanner sees of the dressed person, with albedo and a label per vertex.
 
     Arguments:
@@ -65,8 +65,8 @@ def scan(look: Look, vertices: Floats) -> bytes:
 
 
 def subdivided(
-    vertices: Floats, faces: Faces, corner_uv: Floats, times: int
-) -> tuple[Floats, Faces, Floats, NDArray[np.int64]]:
+    vertices: Doubles, faces: Faces, corner_uv: Doubles, times: int
+) -> tuple[Doubles, Faces, Doubles, NDArray[np.int64]]:
     """Each triangle cut into four, `times` times; also (F',) the original triangle of each new one."""
     used, inverse = np.unique(faces, return_inverse=True)
     vertices, faces = vertices[used], inverse.reshape(faces.shape)
@@ -101,7 +101,7 @@ def _corner_colors(count, faces, corner_uv, rows, fabrics):  # type: ignore[no-u
     return colors
 
 
-def _visible_from_outside(look: Look, vertices: Floats, points: Floats, faces: Faces) -> NDArray[np.bool_]:
+def _visible_from_outside(look: Look, vertices: Doubles, points: Doubles, faces: Faces) -> NDArray[np.bool_]:
     """(V,) whether a vertex sees any of 49 directions around and above the person, on its outer side."""
     scene = RayScene(vertices, look.faces)
     normals = vertex_normals(points, faces).astype(np.float64)

@@ -15,7 +15,7 @@ from stages.shared.pictures.srgb import srgb_from_linear
 from stages.synth.dressed import Look
 from stages.synth.textures import fabric_color
 
-Floats = NDArray[np.float64]
+Doubles = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 # Towards the light, and its strength: a key light, a fill, a light from behind; the rest is sky.
@@ -64,7 +64,7 @@ def _camera(name: str, azimuth: float, height: float, size: int) -> Camera:
 class Scene:
     """A dressed person in one frame, ready to be looked at from anywhere."""
 
-    def __init__(self, look: Look, vertices: Floats, ambient_rays: int, seed: int) -> None:
+    def __init__(self, look: Look, vertices: Doubles, ambient_rays: int, seed: int) -> None:
         self.look = look
         self.vertices = vertices
         self._rays = RayScene(vertices, look.faces)
@@ -89,7 +89,7 @@ class Scene:
         labels[window] = ids
         return View(image, mask, labels)
 
-    def _shade(self, camera: Camera, supersample: int) -> tuple[Floats, Floats, Image]:
+    def _shade(self, camera: Camera, supersample: int) -> tuple[Doubles, Doubles, Image]:
         """Premultiplied linear light (H, W, 3), coverage (H, W), label of the visible layer (H, W)."""
         fine = camera.scaled(supersample)
         origin, directions = fine.rays()
@@ -105,7 +105,7 @@ class Scene:
         )  # fmt: skip
         return light, alpha, labels
 
-    def _openness(self, rays_per_vertex: int, seed: int) -> Floats:
+    def _openness(self, rays_per_vertex: int, seed: int) -> Doubles:
         """(V,) share of the light from above and around that reaches each vertex (1 without rays)."""
         if rays_per_vertex <= 0:
             return np.ones(len(self.vertices))
@@ -121,7 +121,7 @@ class Scene:
         return np.where(total > 0, seen / np.maximum(total, 1e-9), 1.0)
 
 
-def _sphere(count: int, seed: int) -> Floats:
+def _sphere(count: int, seed: int) -> Doubles:
     """(count, 3) even directions (a Fibonacci spiral, turned by the seed)."""
     index = np.arange(count) + 0.5
     y = 1 - 2 * index / count

@@ -1,8 +1,8 @@
-"""Surfaces behind the first hit: found along parallel rays, and dealt out to sheets of maps.
+"""Depth peeling: surfaces behind the first hit of parallel rays, assigned to further sheets of the maps.
 
-Front and back view show what they meet first. What lies between (the undersurface of a fold, the thigh behind
-the other thigh) is peeled off in further sheets: a hidden surface that faces the front goes to the front's
-sheets, one that faces the back to the back's, the nearest to its viewer first.
+Front and back view hold the first hits. Surfaces in between (the lower side of a fold, the inside of a
+thigh) go to further sheets. A hidden surface that faces the front goes to a sheet of the front, one that
+faces the back to a sheet of the back, the nearest to its view first.
 """
 
 from __future__ import annotations

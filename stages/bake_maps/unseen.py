@@ -1,4 +1,4 @@
-"""How much of a layer's surface its maps miss."""
+"""Share of the surface of a layer that its maps do not show."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Removing a subject's shape from the canonical template, exactly, and putting any shape back."""
+"""Exact removal of the subject's shape from the canonical template, and the inverse with any shape."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Faces that the change of pose has torn apart: found by the growth of their edges, and cut."""
+"""Faces torn by the change of pose: detected by the growth of their edges, and removed."""
 
 from __future__ import annotations
 
@@ -35,8 +35,10 @@ def cut_tears(
     factor = edge_growth(faces, before, after, shortest)
     torn = factor > growth
     edges = np.sort(np.stack((faces, np.roll(faces, -1, axis=1)), axis=2)[torn], axis=1)
-    kept = faces[~torn.any(axis=1)]
-    return Tears(kept, len(np.unique(edges, axis=0)), len(faces) - len(kept), float(factor.max(initial=0.0)))
+    intact = faces[~torn.any(axis=1)]
+    return Tears(
+        intact, len(np.unique(edges, axis=0)), len(faces) - len(intact), float(factor.max(initial=0.0))
+    )
 
 
 def edge_growth(faces: np.ndarray, before: np.ndarray, after: np.ndarray, shortest: float) -> np.ndarray:

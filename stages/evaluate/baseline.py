@@ -1,4 +1,4 @@
-"""The no-learning baseline: the layers' meshes with projected colours, moved by the bones, ray cast."""
+"""The baseline without learning: meshes of the layers with projected colours, skinned and ray cast."""
 
 from __future__ import annotations
 

@@ -80,20 +80,20 @@ class CurveFile:
 
     @property
     def ablations(self) -> list[str]:
-        """Names of the curves that leave parts out, after those of the whole method with their budgets."""
+        """Names of the ablation curves, after those of the full method with the same budgets."""
         less = [name for name in self.names if name.startswith(_LESS)]
         return [name for name in self.names if name in {_OWN + budget_of(one) for one in less}] + less
 
     @property
     def methods(self) -> list[str]:
-        """All other curves; one of the whole method that only stands beside ablations is not among them."""
+        """All other curves, without those of the full method that are only a comparison for ablations."""
         rest = [name for name in self.names if not name.startswith(_LESS)]
         others = {budget_of(name) for name in rest if not name.startswith(_OWN)}
-        beside = {name for name in self.ablations if budget_of(name) not in others}
-        return [name for name in rest if name not in beside] or rest
+        comparisons = {name for name in self.ablations if budget_of(name) not in others}
+        return [name for name in rest if name not in comparisons] or rest
 
     def add(self, point: dict[str, Any]) -> None:
-        """Keep a point, and write the file whole."""
+        """Add a point and write the file."""
         point = {**point, "views": self.views}
         same = {key: point[key] for key in ("name", "minutes")}
         kept = [old for old in self.points if {key: old[key] for key in same} != same]

@@ -1,6 +1,6 @@
 """Line charts as a picture, drawn with OpenCV: panels in a grid, one colour and mark per name, a legend.
 
-Two panels side by side are 1800 px wide, so that letters can be read where a page shows 900 of them.
+Two panels are 1800 px wide, so the text stays readable on a page that shows them at 900 px.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What can show a frame to a camera: the trained layers, and the meshes that learned nothing."""
+"""Methods that render a frame for a camera: the trained layers, and the baseline of meshes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Render and score views, and keep a few side by side with the truth."""
+"""Render and score views, and save comparison pictures of some of them."""
 
 from __future__ import annotations
 

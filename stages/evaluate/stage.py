@@ -1,4 +1,4 @@
-"""Evaluate: render what was learned as the capture saw it, and score it beside a baseline without learning.
+"""Evaluate: render the trained layers from the cameras of the capture, and score them and a baseline.
 
 Reads:
     register-template: `body.safetensors`, `smpl_params.npz`. segment-layers: `<layer>.safetensors`.
@@ -58,7 +58,7 @@ def run(
     perceptual_weights: Path | None = None,
     true_meshes: Sequence[str] = (),
 ) -> EvaluateResult:
-    """Score a subject; the folder is `SUBJECT/evaluation` unless told otherwise. LPIPS needs its weights.
+    """Score a subject; the default folder is `SUBJECT/evaluation`. LPIPS needs its weights.
 
     Arguments:
         true_meshes: as `true_meshes_of` takes them; garments are measured against them as well.

@@ -1,8 +1,9 @@
-"""Garments that were posed, against their true meshes: `gw evaluate SUBJECT --true-meshes …`.
+"""Posed garments compared with their true meshes: `gw evaluate SUBJECT --true-meshes …`.
 
-Points are the centres of a garment's Gaussians. Each is a point of the cloth: that at which the template has
-it, on the true mesh of the template's own frame. The template is bound, not what was learned, so that what
-was learned wrongly in that frame counts too, and all ways of posing are asked for the same points.
+Points are the centres of the Gaussians of a garment. Each point belongs to a point of the cloth: the
+nearest point of the true mesh to the template, in the frame of the template. The template defines this
+binding, not the training. Errors of the training in that frame therefore count, and all methods are scored
+on the same points.
 """
 
 from __future__ import annotations

@@ -1,5 +1,4 @@
-"""Which views are scored: novel poses by the cameras that were learned from, novel views of learned poses,
-and both at once."""
+"""Which views are scored: novel poses from training cameras, novel views of training poses, and both."""
 
 from __future__ import annotations
 

@@ -1,11 +1,11 @@
 """Skinning weights and shape directions of a body, as a function of space around it.
 
-Four ways to make them, for comparison and for taste (`FieldConfig.spread`):
+Four methods, for comparison (`FieldConfig.spread`):
     nearest   the nearest body vertex; tears at armpits.
     undiffused  K nearest vertices by inverse distance.
     inverse   K nearest vertices by inverse distance, then 6-neighbour averaging (the paper's released code).
     wide      inverse distance near the skin, and further away a diffusion whose reach grows with the
-              distance from the skin; keeps skirts whole between the legs.
+              distance from the skin; does not split skirts between the legs.
 """
 
 from __future__ import annotations
@@ -213,9 +213,9 @@ def hang_between_legs(values: np.ndarray, share: float) -> np.ndarray:
     values = values.copy()
     left, right = values[:, _LEFT_LEG].sum(axis=1), values[:, _RIGHT_LEG].sum(axis=1)
     both = np.maximum(left + right, 1e-9)
-    given = share * 4.0 * left * right / both
-    values[:, _LEFT_LEG + _RIGHT_LEG] *= (1.0 - given)[:, None]
-    values[:, _PELVIS] += given * (left + right)
+    to_pelvis = share * 4.0 * left * right / both
+    values[:, _LEFT_LEG + _RIGHT_LEG] *= (1.0 - to_pelvis)[:, None]
+    values[:, _PELVIS] += to_pelvis * (left + right)
     return values
 
 

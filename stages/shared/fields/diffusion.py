@@ -1,9 +1,9 @@
-"""Spreading values from a surface into space: inverse distance, averaging, wide diffusion.
+"""Extension of values from a surface into space: inverse distance, averaging, distance-adaptive diffusion.
 
-Inverse distance over the K nearest vertices is exact near the surface but, on a dense mesh, K
-neighbours are one small patch: between two legs the value still jumps. `spread_wide` mends that: it
-solves, on the grid, for the field that stays close to the inverse-distance values near the skin and
-becomes smoother the further away it is, so a skirt between the legs follows both.
+Inverse distance over the K nearest vertices is exact near the surface. On a dense mesh, the K neighbours
+are one small patch, so the value still jumps between two legs. `spread_wide` avoids the jump. It solves, on
+the grid, for the field that is close to the inverse-distance values near the skin and becomes smoother with
+the distance from it. A skirt between the legs then follows both legs.
 """
 
 from __future__ import annotations

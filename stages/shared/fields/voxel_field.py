@@ -1,9 +1,9 @@
 """A smooth function of space on a regular grid of nodes, stored only where it was computed.
 
 Nodes lie on `linspace(centre − half_extent, centre + half_extent)` along each axis (so the outermost
-nodes are on the faces of the box). Only a band of nodes carries values; every other node borrows the
-row of its nearest node of the band, and points outside the box read the box's border. Sampling is
-therefore defined everywhere and never returns zeros by accident.
+nodes are on the faces of the box). Only a band of nodes stores values. Every other node uses the values of
+the nearest node of the band, and points outside the box use those of its border. Sampling is therefore
+defined everywhere and never returns zeros by accident.
 """
 
 from __future__ import annotations

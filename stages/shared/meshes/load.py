@@ -1,4 +1,4 @@
-"""Mesh files in, mesh files out."""
+"""Reading and writing of mesh files."""
 
 from __future__ import annotations
 

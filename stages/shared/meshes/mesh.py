@@ -1,4 +1,4 @@
-"""A triangle mesh with what a scan brings along, and the checks that every mesh from outside passes."""
+"""A triangle mesh with the attributes of a scan, and the checks of every mesh from a file."""
 
 from __future__ import annotations
 

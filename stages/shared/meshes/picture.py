@@ -1,4 +1,4 @@
-"""A mesh from front and back, side by side: the picture that stages leave beside their arrays."""
+"""Preview picture of a mesh: front and back view in one image."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
-"""FLIP (Andersson et al. 2020): how different two pictures look when one flips between them; no weights.
+"""FLIP (Andersson et al. 2020): perceived difference of two pictures shown in alternation. Needs no weights.
 
-Both pictures are blurred as the eye blurs at a viewing distance (contrast sensitivity per opponent channel),
-compared in a colour space where distances are felt distances, and differences at edges and points count more.
+Both pictures are filtered by the contrast sensitivity of the eye at a viewing distance, per opponent
+channel, and compared in a perceptually uniform colour space. Differences at edges and points have more
+weight.
 """
 
 from __future__ import annotations

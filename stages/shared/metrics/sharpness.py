@@ -1,4 +1,4 @@
-"""Sharpness against the truth: blur can buy decibels, and this number shows it."""
+"""Sharpness relative to the truth: shows blur, which PSNR can reward."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def sharpness(prediction: Picture, truth: Picture, inside: NDArray[np.bool_]) ->
     check_pictures(prediction, truth)
     size = 2 * _RIM + 1
     core = cv2.erode(inside.astype(np.uint8), np.ones((size, size), np.uint8), borderValue=0) > 0
-    wanted = _energy(truth, core)
-    return _energy(prediction, core) / wanted if wanted > 0 else None
+    reference = _energy(truth, core)
+    return _energy(prediction, core) / reference if reference > 0 else None
 
 
 def _energy(picture: Picture, core: NDArray[np.bool_]) -> float:

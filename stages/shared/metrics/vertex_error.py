@@ -1,8 +1,8 @@
-"""How far a posed garment is from the true one: between the surfaces, and from point to point of the cloth.
+"""Distance of a posed garment to the true one: between surfaces, and between corresponding cloth points.
 
-Surfaces say whether the shape is right, not whether the cloth slid along itself. For that, points of the
-cloth are followed: each is bound once to the true mesh (a face and barycentric weights), and what counts
-later is its distance to the place where the true mesh has that very point.
+Distances of surfaces measure the shape, not whether the cloth slid along its own surface. Corresponding
+points measure that: each point is bound once to the true mesh (a face and barycentric weights), and its
+error is the distance to the position of this point of the true mesh.
 """
 
 from __future__ import annotations

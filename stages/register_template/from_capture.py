@@ -42,6 +42,8 @@ def register_capture(source: Source, config: RegisterTemplateConfig, report: Rep
     if alignment.convention != AS_IS:
         report.warn(f"camera matrices are read with: {alignment.convention}")
         take = take_in_convention(take, alignment.convention)
+    for warning in alignment.warnings:
+        report.warn(warning)
     report.say(f"{100 * alignment.mean_inside:.1f} % of the body's silhouette lies inside the masks")
 
     posed = checked[frame]

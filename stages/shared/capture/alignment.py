@@ -7,12 +7,21 @@ cameras are right, and nearly none of it when an axis is turned round.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.shared.capture.alignment_causes import (
+    LONG_SIDE,
+    global_cause,
+    label_warnings,
+    likely_cause,
+    silhouette,
+    small_mask,
+    suspicious_cameras,
+)
 from stages.shared.capture.convention import AS_IS, CONVENTIONS, take_in_convention
 from stages.shared.capture.take import MASK_THRESHOLD, Take
 from stages.shared.errors import BadData
@@ -21,7 +30,6 @@ from stages.shared.meshes.raycast import RayScene
 BAR = 0.90  # of the silhouette, on average over the cameras
 CAMERA_BAR = 0.70  # for each camera
 COVER_BAR = 0.15  # of the mask that the body must cover: a body of the wrong scale is a dot inside every mask
-_LONG_SIDE = 320  # pixels at which silhouettes are compared
 _Vertices = Mapping[int, NDArray[np.floating]]
 
 
@@ -35,6 +43,7 @@ class Alignment:
         covered: camera to the share of the mask that the body covers.
         tried: convention to the mean share inside, in the order tried.
         frames: the frames looked at.
+        warnings: cameras that are far worse than the others, and views without a person, in sentences.
     """
 
     convention: str
@@ -42,6 +51,7 @@ class Alignment:
     covered: dict[str, float]
     tried: dict[str, float]
     frames: tuple[int, ...]
+    warnings: tuple[str, ...] = ()
 
     @property
     def mean_inside(self) -> float:
@@ -63,12 +73,13 @@ def check_alignment(
     Raises:
         BadData: an empty mask, or no convention fits: the shares of each one tried are named.
     """
-    masks = {
-        (camera, frame): _small_mask(take, camera, frame)
-        for camera in take.training_cameras
-        for frame in vertices
-        if take.has_image(camera, frame)
-    }
+    views = [
+        (name, frame) for name in take.training_cameras for frame in vertices if take.has_image(name, frame)
+    ]
+    seen = {view: small_mask(take, *view) for view in views}
+    masks = {view: mask for view, mask in seen.items() if mask is not None}
+    if not masks:
+        raise take.empty_mask(*views[0])
     scenes = {frame: RayScene(vertices[frame], faces) for frame in vertices}
     tried: dict[str, float] = {}
     best: Alignment | None = None
@@ -79,11 +90,11 @@ def check_alignment(
         if best is None or found.mean_inside > best.mean_inside:
             best = found
         if convention == AS_IS and _passes(found, bar):
-            return found
+            return replace(found, warnings=_warnings(take, found, scenes, seen))
     assert best is not None
     if not _passes(best, bar):
-        raise _refusal(take, best, bar)
-    return best
+        raise _refusal(take, best, bar, masks, scenes)
+    return replace(best, warnings=_warnings(take_in_convention(take, best.convention), best, scenes, seen))
 
 
 def overlay_picture(
@@ -100,18 +111,18 @@ def overlay_picture(
         if not take.has_image(name, frame):
             continue
         camera = take.camera(name)
-        factor = _LONG_SIDE / max(camera.width, camera.height)
+        factor = LONG_SIDE / max(camera.width, camera.height)
         small = camera.scaled(factor)
         size = (small.width, small.height)
         image = np.array(cv2.resize(take.image(name, frame), size, interpolation=cv2.INTER_AREA), np.uint8)
-        tile = np.zeros((_LONG_SIDE, _LONG_SIDE, 3), np.uint8)
+        tile = np.zeros((LONG_SIDE, LONG_SIDE, 3), np.uint8)
         mask = cv2.resize(take.mask(name, frame), size, interpolation=cv2.INTER_AREA)
         _draw_outline(image, mask > MASK_THRESHOLD, (60, 220, 60))
         _draw_outline(image, scene.render(small).hit, (255, 0, 200))
         tile[: small.height, : small.width] = image
         text = name + (f"  {100 * inside[name]:.1f} % inside" if name in inside else "")
         cv2.putText(
-            tile, text, (6, _LONG_SIDE - 8), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (255, 255, 255), 1, cv2.LINE_AA
+            tile, text, (6, LONG_SIDE - 8), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (255, 255, 255), 1, cv2.LINE_AA
         )
         tiles.append(tile)
     return contact_sheet(tiles)
@@ -125,9 +136,10 @@ def silhouette_ious(
     found = {}
     for name in take.training_cameras:
         if take.has_image(name, frame):
-            mask = _small_mask(take, name, frame)
-            camera = take.camera(name)
-            hit = scene.render(camera.scaled(min(1.0, _LONG_SIDE / max(camera.width, camera.height)))).hit
+            mask = small_mask(take, name, frame)
+            if mask is None:
+                continue
+            hit = silhouette(scene, take.camera(name))
             found[name] = float((hit & mask).sum() / max(int((hit | mask).sum()), 1))
     return found
 
@@ -148,15 +160,6 @@ def _draw_outline(image: NDArray[np.uint8], inside: NDArray[np.bool_], color: tu
     cv2.drawContours(image, contours, -1, color, 1)
 
 
-def _small_mask(take: Take, camera: str, frame: int) -> NDArray[np.bool_]:
-    mask = take.mask(camera, frame)
-    if mask.max() <= MASK_THRESHOLD:
-        raise take.empty_mask(camera, frame)
-    small = take.camera(camera).scaled(min(1.0, _LONG_SIDE / max(mask.shape)))
-    resized = cv2.resize(mask, (small.width, small.height), interpolation=cv2.INTER_AREA)
-    return np.asarray(resized > MASK_THRESHOLD)
-
-
 def _shares(
     take: Take, masks: Mapping[tuple[str, int], NDArray[np.bool_]], scenes: Mapping[int, RayScene]
 ) -> tuple[dict[str, float], dict[str, float]]:
@@ -165,11 +168,9 @@ def _shares(
     covered: dict[str, list[float]] = {}
     for (name, frame), mask in masks.items():
         camera = take.camera(name)
-        silhouette = (
-            scenes[frame].render(camera.scaled(min(1.0, _LONG_SIDE / max(camera.width, camera.height)))).hit
-        )
-        both = float((silhouette & mask).sum())
-        inside.setdefault(name, []).append(both / max(int(silhouette.sum()), 1))
+        hit = silhouette(scenes[frame], camera)
+        both = float((hit & mask).sum())
+        inside.setdefault(name, []).append(both / max(int(hit.sum()), 1))
         covered.setdefault(name, []).append(both / max(int(mask.sum()), 1))
     return (
         {name: float(np.mean(shares)) for name, shares in inside.items()},
@@ -185,23 +186,55 @@ def _passes(found: Alignment, bar: float) -> bool:
     )
 
 
-def _refusal(take: Take, best: Alignment, bar: float) -> BadData:
+def _warnings(
+    take: Take, found: Alignment, scenes: Mapping[int, RayScene], seen: Mapping[tuple[str, int], object]
+) -> tuple[str, ...]:
+    """What the mean over the cameras does not show."""
+    empty = [f"{name}, frame {frame}" for (name, frame), mask in seen.items() if mask is None]
+    warnings = [f"nobody is seen by {'; '.join(empty)}: these views are left out."] if empty else []
+    middle = float(np.median(list(found.inside.values())))
+    for name in suspicious_cameras(found.inside, found.covered):
+        cause = likely_cause(take, name, scenes)
+        warnings.append(
+            f"camera {name} has {100 * found.inside[name]:.0f} % of the body in its masks, the median camera "
+            f"{100 * middle:.0f} %" + (f": {cause}." if cause else ". Look at its calibration and masks.")
+        )
+    return (*warnings, *label_warnings(take, found.frames[0]))
+
+
+def _refusal(
+    take: Take,
+    best: Alignment,
+    bar: float,
+    masks: Mapping[tuple[str, int], NDArray[np.bool_]],
+    scenes: Mapping[int, RayScene],
+) -> BadData:
     shares = "; ".join(f"{name}: {100 * share:.0f} %" for name, share in best.tried.items())
     where = f"{take.name}, frames {', '.join(map(str, best.frames))}; camera matrices tried {shares}"
     worst = min(best.inside, key=lambda name: best.inside[name])
     covered = float(np.mean(list(best.covered.values())))
-    if best.mean_inside >= bar and best.inside[worst] < CAMERA_BAR:
+    if float(np.median(list(best.inside.values()))) >= bar and best.inside[worst] < CAMERA_BAR:
+        fitting = take_in_convention(take, best.convention)
+        wrong = [name for name, share in best.inside.items() if share < CAMERA_BAR]
+        causes = [f"{name}: {cause}" for name in wrong if (cause := likely_cause(fitting, name, scenes))]
         return BadData(
             f"Camera {worst} has {100 * best.inside[worst]:.0f} % of the projected body in its mask; "
-            f"the others fit.",
+            "the median camera fits." + (f" Likely causes: {'; '.join(causes)}." if causes else ""),
             where,
-            f"Mend the calibration or the masks of {worst}, or leave this camera out.",
+            f"Correct the calibration or the masks of {', '.join(wrong)}, or leave these cameras out.",
         )
     if best.mean_inside >= bar:
         return BadData(
             f"The projected body covers only {100 * covered:.1f} % of the masks: wrong scale or place.",
             where,
             "Check the units of calibration and poses: both must be metres.",
+        )
+    cause = global_cause(take, masks, scenes)
+    if cause:
+        return BadData(
+            f"Only {100 * best.mean_inside:.0f} % of the projected body is in the masks; {cause}.",
+            where,
+            "Correct the masks, the frame numbers or the calibration accordingly.",
         )
     return BadData(
         f"Only {100 * best.mean_inside:.0f} % of the projected body is in the masks (bar {100 * bar:.0f} %): "

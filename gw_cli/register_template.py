@@ -52,6 +52,12 @@ def register(app: typer.Typer) -> None:
                 min=0, max=64, help="Cameras rendered around the scans of every frame (4D-DRESS: 12)."
             ),
         ] = 0,
+        hold_out: Annotated[
+            list[str] | None,
+            typer.Option(
+                metavar="CAMERA", help="Do not learn from this camera: judge novel views by it. Repeatable."
+            ),
+        ] = None,
         capture_format: Annotated[str | None, typer.Option("--format", help="Layout of the capture.")] = None,
         preset: Preset = "draft",
         force: Force = False,
@@ -81,6 +87,7 @@ def register(app: typer.Typer) -> None:
             take=take,
             poses=poses,
             virtual_cameras=virtual_cameras,
+            hold_out=tuple(hold_out or ()),
         )
         check_exists(given, "capture or mesh")
 

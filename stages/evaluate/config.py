@@ -30,7 +30,9 @@ class EvaluateConfig:
     """
 
     splits: tuple[str, ...] = option(
-        SPLITS[:2], "Of novel-pose, novel-view, novel-both (test poses, held-out cameras).", flag="--split"
+        SPLITS[:2],
+        "Of novel-pose, novel-view, novel-both (test poses, held-out cameras). Default: what there is.",
+        flag="--split",
     )
     methods: tuple[str, ...] = option(("trained", "baseline"), "Of trained, baseline, distilled.")
     frame_step: int = option(5, "Novel views: step between training frames.", min=1)

@@ -66,10 +66,20 @@ def _views(take: Take, frame: int, cameras: tuple[str, ...], first: bool) -> Fra
 def views_by_split(
     capture: Capture, template_take: str, config: EvaluateConfig
 ) -> dict[str, list[FrameViews]]:
-    """Views of every split asked for, by name ("novel_pose"). Raises MissingInput where one has none."""
+    """Views of every split asked for, by name ("novel_pose").
+
+    The default asks for what the capture has: without a test take, or without a held-out camera, the other
+    split is scored alone.
+
+    Raises:
+        MissingInput: a split that was asked for has no views, or none has by default.
+    """
+    every = {split: views_of(split, capture, template_take, config) for split in config.splits}
+    by_default = config.splits == EvaluateConfig().splits and any(every.values())
     found = {}
-    for split in config.splits:
-        views = views_of(split, capture, template_take, config)
+    for split, views in every.items():
+        if by_default and not views:
+            continue
         require_views(views, split, capture)
         found[split.replace("-", "_")] = views
     return found

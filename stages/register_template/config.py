@@ -29,6 +29,8 @@ class RegisterTemplateConfig:
         poses: "given" (the capture's own, checked), "fit" (found from masks, and from the scan where that is
             the template), "refine" (the capture's own as the start).
         virtual_cameras: how many cameras are rendered around the scans in place of the capture's own; 0 none.
+        hold_out: cameras that are not learned from, for judging novel views, besides those the capture
+            holds out.
     """
 
     template: str = "auto"
@@ -44,6 +46,7 @@ class RegisterTemplateConfig:
     fit_steps: int = FULL_FIT
     poses: str = "given"
     virtual_cameras: int = 0
+    hold_out: tuple[str, ...] = ()
 
     @property
     def effort(self) -> float:

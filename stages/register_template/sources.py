@@ -16,7 +16,7 @@ from stages.shared.body import BodyModel, Poses, embedded_body, load_body
 from stages.shared.body.convert import convert_poses
 from stages.shared.capture import Capture, Take, open_capture
 from stages.shared.capture.landmarks import landmarks_file
-from stages.shared.capture.open_capture import with_poses
+from stages.shared.capture.open_capture import with_held_out, with_poses
 from stages.shared.errors import MissingInput, UsageProblem
 from stages.shared.meshes.load import check_mesh_file
 from stages.shared.meshes.mesh import Mesh
@@ -88,6 +88,7 @@ def capture_source(
     fits = config.poses != "given"
     fitted_with = None if fit_body_model is None else load_body(fit_body_model)
     capture = open_capture(root, format, fitted_with or given, poses_needed=not fits)
+    capture = with_held_out(capture, config.hold_out)
     body = given or body_of(None, capture)
     converted: dict[str, Poses] = {}
     if fitted_with is not None:

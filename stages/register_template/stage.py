@@ -17,7 +17,7 @@ and a copy of smpl_params.npz at SUBJECT/smpl_params.npz.
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -88,6 +88,8 @@ def run(
     source = _source(given, config, body_model, params, format, fit_body_model)
     check_folder_target(subject)
     settings = {**asdict(config), "body": source.body.digest}
+    if not config.hold_out:  # subjects of earlier releases keep their keys
+        del settings["hold_out"]
     found = None if force else workspace.find(REGISTER_TEMPLATE, settings, source.inputs)
     if found:
         report.say("register-template is up to date")
@@ -102,7 +104,8 @@ def run(
         found = build.artifact
     if source.capture:
         fitted = found.path / FITTED if found.summary.get("fitted_takes") else None
-        remember_capture(workspace, source.capture, str(found.json("report")["convention"]), fitted)
+        convention = str(found.json("report")["convention"])
+        remember_capture(workspace, source.capture, convention, fitted, config.hold_out)
     workspace.publish(found, "smpl_params.npz", "smpl_params.npz")
     return StageResult(found, found.summary)
 
@@ -163,7 +166,8 @@ def _with_scans(
         raise UsageProblem(
             "Virtual cameras are put around the scans of a capture.", str(given), "Give a capture."
         )
-    source = capture_source(Path(given), config, body_model, format, fit_body_model)
+    own_cameras = replace(config, hold_out=())  # the option names virtual cameras then
+    source = capture_source(Path(given), own_cameras, body_model, format, fit_body_model)
     assert source.capture is not None
     return source.capture
 

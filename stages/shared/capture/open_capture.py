@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -89,6 +89,26 @@ def with_poses(capture: Capture, poses: Mapping[str, Poses]) -> Capture:
             frames = [frame for frame in take.frames if frame < len(given)]
             take = replace(take, poses=given, frames=frames, posed=True)
         takes.append(take)
+    return replace(capture, takes=tuple(takes))
+
+
+def with_held_out(capture: Capture, names: Sequence[str]) -> Capture:
+    """The capture with more cameras held out: they are judged by, and not learned from.
+
+    Raises:
+        UsageProblem: a camera that a take lacks, or no camera left to learn from.
+    """
+    takes = []
+    for take in capture.takes:
+        for name in names:
+            take.camera(name)
+        training = tuple(name for name in take.training_cameras if name not in names)
+        if not training:
+            raise UsageProblem(
+                "No camera would be left to learn from.", "option --hold-out", "Hold out fewer cameras."
+            )
+        heldout = tuple(dict.fromkeys((*take.heldout_cameras, *names)))
+        takes.append(replace(take, training_cameras=training, heldout_cameras=heldout))
     return replace(capture, takes=tuple(takes))
 
 

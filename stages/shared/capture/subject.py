@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from stages.shared.artifacts.workspace import Workspace
@@ -9,24 +10,30 @@ from stages.shared.body.model import BodyModel
 from stages.shared.body.poses import DEFAULT_FPS, Poses
 from stages.shared.capture.convention import AS_IS, capture_in_convention
 from stages.shared.capture.gather import read_poses
-from stages.shared.capture.open_capture import open_capture
+from stages.shared.capture.open_capture import open_capture, with_held_out
 from stages.shared.capture.take import Capture
 from stages.shared.errors import MissingInput
 
 
 def remember_capture(
-    workspace: Workspace, capture: Capture, convention: str = AS_IS, fitted: Path | None = None
+    workspace: Workspace,
+    capture: Capture,
+    convention: str = AS_IS,
+    fitted: Path | None = None,
+    hold_out: Sequence[str] = (),
 ) -> None:
     """Note in the subject's settings where its capture is, its layout, and how its cameras are to be read.
 
     Arguments:
         fitted: folder with fitted poses `<take>.npz`; None when the capture's own are used.
+        hold_out: cameras that are held out besides those the capture holds out.
     """
     workspace.save_settings(
         capture=capture.root,
         capture_format=capture.format,
         camera_convention=convention,
         fitted_poses="" if fitted is None else fitted,
+        hold_out=",".join(hold_out),
     )
 
 
@@ -47,6 +54,7 @@ def open_subject_capture(workspace: Workspace, body: BodyModel | None = None) ->
     capture = open_capture(
         workspace.setting_path("capture"), settings.get("capture_format"), body, _fitted(workspace)
     )
+    capture = with_held_out(capture, [name for name in settings.get("hold_out", "").split(",") if name])
     return capture_in_convention(capture, settings.get("camera_convention", AS_IS))
 
 

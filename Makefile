@@ -15,7 +15,7 @@ CAPTURE ?=
 SUBJECT ?=
 STAGE_FLAGS ?=
 
-.PHONY: help setup demo test test-long check audit docs release-check format subject register-template canonicalize segment-layers bake-maps train evaluate status clean
+.PHONY: help setup demo test test-long check audit docs release-check format subject register-template canonicalize segment-layers bake-maps train fit-cloth evaluate status clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 20
@@ -55,7 +55,7 @@ format: $(READY) ## rewrite the sources in the project's format
 	$(VENV)/bin/ruff format .
 	$(VENV)/bin/ruff check --fix .
 
-subject: register-template canonicalize segment-layers bake-maps train evaluate ## CAPTURE=… SUBJECT=…: the whole chain
+subject: register-template canonicalize segment-layers bake-maps train fit-cloth evaluate ## CAPTURE=… SUBJECT=…: the whole chain
 
 register-template: $(READY) ## CAPTURE=… SUBJECT=…
 	$(GW) register-template $(CAPTURE) -o $(SUBJECT) --preset $(PRESET) $(STAGE_FLAGS)
@@ -71,6 +71,9 @@ bake-maps: $(READY) ## SUBJECT=…
 
 train: $(READY) ## SUBJECT=…
 	$(GW) train $(SUBJECT) --preset $(PRESET)
+
+fit-cloth: $(READY) ## SUBJECT=…
+	$(GW) fit-cloth $(SUBJECT) --preset $(PRESET)
 
 evaluate: $(READY) ## SUBJECT=…
 	$(GW) evaluate $(SUBJECT)

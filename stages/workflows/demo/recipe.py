@@ -105,6 +105,13 @@ def _learn(subject: str, config: DemoConfig) -> list[DemoStep]:
             (subject, *train_options),
             "previews/*.png",
         ),
+        (
+            "fit-cloth",
+            "Every garment gets a simulation mesh and a material; the best driver in left-out parts becomes "
+            "its default.",
+            (subject, *preset),
+            "*.png",
+        ),
     ]
     chain = [
         DemoStep(name, sentence, (name, *arguments), (f"{subject}/{name}/current.json",),

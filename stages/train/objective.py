@@ -25,48 +25,19 @@ from stages.shared.losses.seam import seam_loss
 from stages.shared.losses.silhouette import silhouette_loss
 from stages.shared.losses.smooth import smooth_loss
 from stages.shared.losses.ssim import ssim_loss
-from stages.shared.splat.api import rasterize, rasterize_layers
+from stages.shared.splat.api import render_gaussians
 from stages.shared.splat.gaussians import Gaussians
+from stages.shared.splat.rendering import Rendering
 from stages.train.config import LossWeights
 from stages.train.views import View
 
 
-@dataclass(frozen=True)
-class Picture:
-    """What a camera sees: color (H, W, 3) on black, labels (H, W, L), alpha (H, W), depth (H, W) m.
-
-    body_alpha: (H, W) of the body as if nothing else were there; None unless asked for.
-    """
-
-    color: Tensor
-    labels: Tensor
-    alpha: Tensor
-    depth: Tensor
-    body_alpha: Tensor | None = None
-
-
-def render(composite: Gaussians, camera: Camera, body_alone: bool = False, backend: str = "auto") -> Picture:
-    """Colours, labels, alpha and expected depth of a composite, in one pass; the body alone in the same."""
-    matrices = camera.tensors(composite.means.device)
-    gaussians = (composite.means, None, None, composite.opacities, composite.features, *matrices)
-    size, covars = (camera.width, camera.height), composite.covariances
-    body_alpha = None
-    if body_alone:
-        layered = rasterize_layers(
-            *gaussians,
-            *size,
-            covars=covars,
-            layer_ids=composite.layer_ids,
-            layers=len(composite.layers),
-            alone=(composite.layers.index(BODY),),
-            alone_channels=0,
-            backend=backend,
-        )
-        picture, body_alpha = layered.composite, layered.layers[0].alpha
-    else:
-        picture = rasterize(*gaussians, *size, covars=covars, backend=backend)
-    color, labels = picture.features.split((3, len(composite.layers)), dim=-1)
-    return Picture(color, labels, picture.alpha, picture.expected_depth.detach(), body_alpha)
+def render(
+    gaussians: Gaussians, camera: Camera, body_alone: bool = False, backend: str = "auto"
+) -> Rendering:
+    """Colours, labels, alpha and depth in one pass; with `body_alone`, `layers` has the body's alpha."""
+    alone = (BODY,) if body_alone else ()
+    return render_gaussians(gaussians, camera, alone=alone, alone_channels=0, backend=backend)
 
 
 @dataclass(frozen=True)
@@ -123,8 +94,9 @@ def picture_terms(
     if weights.flow > 0:
         flow, trusted = dense_flow(image, truth)
         matrix, intrinsics = (x.to(composite.means) for x in view.camera.tensors())
+        depth = picture.expected_depth.detach()
         terms["flow"] = flow_loss(
-            composite.means, matrix, intrinsics, picture.depth, flow.to(image), trusted.to(image.device)
+            composite.means, matrix, intrinsics, depth, flow.to(image), trusted.to(image.device)
         )
     if crops is not None:
         terms |= crops.terms(image, truth, view, background, weights)
@@ -135,8 +107,8 @@ def picture_terms(
         terms["ssim"] = ssim_loss(image, truth)
     if weights.label > 0:
         terms["label"] = label_loss(picture.labels, view.labels, view.known, label_kind)
-    if picture.body_alpha is not None:
-        terms["silhouette"] = silhouette_loss(picture.body_alpha, view.silhouette)
+    if picture.layers:
+        terms["silhouette"] = silhouette_loss(picture.layers[0].alpha, view.silhouette)
     return terms
 
 

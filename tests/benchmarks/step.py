@@ -136,7 +136,7 @@ def _pictures(trainer: Trainer, number: int) -> tuple[Gaussians, list[Camera]]:
 
 def _shared(composite: Gaussians, camera: Camera) -> list[Tensor]:
     picture = render(composite, camera, body_alone=BODY in composite.layers)
-    found = [picture.color, picture.labels, picture.alpha, picture.body_alpha]
+    found = [picture.color, picture.labels, picture.alpha, picture.layers[0].alpha]
     return [image for image in found if image is not None]
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.shared.layers import BODY
-from stages.shared.splat.rendering import LayeredRendering, Rendering
+from stages.shared.splat.rendering import Rendering
 
 if TYPE_CHECKING:
     from stages.shared.splat.cpu_layers import LayeredView
@@ -66,7 +66,7 @@ class ResolvedImage:
 
 
 def resolve_penetration(
-    rendering: LayeredRendering, layers: tuple[str, ...], config: PenetrationConfig = PenetrationConfig()
+    rendering: Rendering, layers: tuple[str, ...], config: PenetrationConfig = PenetrationConfig()
 ) -> ResolvedImage:
     """Run the pass over every pair of layers, garments among each other first, then the body against each.
 
@@ -75,10 +75,9 @@ def resolve_penetration(
             labels (L), those of layers alone begin with colours; on black.
         layers: L names, inner to outer.
     """
-    whole = rendering.composite
-    repaired = Rendering(whole.features.clone(), whole.alpha.clone(), whole.depth.clone())
-    total = np.zeros(tuple(whole.alpha.shape), bool)
-    box = _box(whole.alpha.numpy())
+    repaired = Rendering(rendering.features.clone(), rendering.alpha.clone(), rendering.depth.clone())
+    total = np.zeros(tuple(rendering.alpha.shape), bool)
+    box = _box(rendering.alpha.numpy())
     features, alpha, depth = (
         field.numpy()[box] for field in (repaired.features, repaired.alpha, repaired.depth)
     )

@@ -1,19 +1,18 @@
-"""One picture of an outfit: colour, coverage, depth, labels, and each layer alone when asked for."""
+"""One image of an outfit: colour, alpha, depth and labels, and each layer alone on request."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from stages.shared.capture.camera import Camera
-from stages.shared.outfit.develop import develop
 from stages.shared.outfit.layer import label_of
 from stages.shared.outfit.penetration import PenetrationConfig, resolve_penetration, resolve_penetration_tiles
-from stages.shared.splat.api import rasterize, rasterize_layers
+from stages.shared.outfit.postprocess import postprocess
+from stages.shared.splat.api import render_gaussians
 from stages.shared.splat.gaussians import Gaussians
 from stages.shared.splat.rendering import Rendering
 from stages.shared.splat.settings import SplatSettings
@@ -23,13 +22,13 @@ Floats = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class RenderedImage:
-    """What a camera sees.
+    """A rendering after the penetration pass and postprocessing.
 
     Attributes:
         color: (H, W, 3) f32 sRGB 0..1, multiplied by alpha (on black).
         alpha: (H, W) f32 0..1. depth: (H, W) f32 m along the optical axis, 0 where nothing is.
         labels: (H, W) u8 label ids, 255 where nothing is.
-        layers: name to (H, W, 4) f32 colour times alpha, and alpha, of each layer as if it were alone.
+        layers: name to (H, W, 4) f32 colour times alpha, and alpha, of each layer rendered alone.
         repaired: (H, W) pixels that the penetration pass changed from an inner layer to a garment.
         counts: "inner/outer" to the number of such pixels.
     """
@@ -53,83 +52,66 @@ class RenderedImage:
 
 
 def render_image(
-    composite: Gaussians,
+    gaussians: Gaussians,
     camera: Camera,
     penetration: PenetrationConfig | None = None,
     each_layer: bool = False,
     backend: str = "auto",
     settings: SplatSettings = SplatSettings(),
 ) -> RenderedImage:
-    """Render a composite through a camera.
+    """Render Gaussians through a camera, and postprocess the rendering.
 
     Arguments:
-        penetration: run the penetration pass with these tolerances; None leaves the splats as they are.
+        penetration: run the penetration pass with these tolerances; None leaves it out.
         each_layer: also return every layer alone.
         settings: of the splatting.
 
     Raises:
         UsageProblem: cut-offs that are not possible.
     """
-    view, intrinsics = camera.tensors(composite.means.device)
-    gaussians = (composite.means, None, None, composite.opacities, composite.features, view, intrinsics)
-    size = (camera.width, camera.height)
+    layers = gaussians.layers
     with torch.no_grad():
-        if not each_layer and (penetration is None or len(composite.layers) == 1):
-            picture = rasterize(
-                *gaussians, *size, covars=composite.covariances, backend=backend, settings=settings
-            )
-            nothing = None if penetration is None else np.zeros(tuple(picture.alpha.shape), bool)
-            return _shot(picture, composite.layers, repaired=nothing)
-        on_lists = not each_layer and _on_cpu(composite, backend)
-        if on_lists and penetration is not None:
+        if not each_layer and (penetration is None or len(layers) == 1):
+            rendering = render_gaussians(gaussians, camera, backend=backend, settings=settings)
+            unchanged = None if penetration is None else np.zeros(tuple(rendering.alpha.shape), bool)
+            return _postprocessed(rendering, layers, unchanged)
+        if penetration is not None and not each_layer and _on_cpu(gaussians, backend):
             from stages.shared.splat.cpu_layers import layered_view
 
-            seen = layered_view(
-                composite.means, composite.opacities, composite.features, view, intrinsics, *size,
-                covars=composite.covariances, layer_ids=composite.layer_ids, layers=len(composite.layers),
-                settings=settings,
-            )  # fmt: skip
-            repaired = resolve_penetration_tiles(seen, composite.layers, penetration)
-            return _shot(repaired.rendering, composite.layers, {}, repaired.mask, repaired.counts)
-        layered = rasterize_layers(
-            *gaussians,
-            *size,
-            covars=composite.covariances,
-            layer_ids=composite.layer_ids,
-            layers=len(composite.layers),
-            alone_channels=3,
-            backend=backend,
-            settings=settings,
-        )
+            view = layered_view(gaussians, camera, settings)
+            resolved = resolve_penetration_tiles(view, layers, penetration)
+            return _postprocessed(resolved.rendering, layers, resolved.mask, resolved.counts)
+        rendering = render_gaussians(gaussians, camera, alone=layers, backend=backend, settings=settings)
         alone = {}
         if each_layer:
             alone = {
-                name: np.dstack([_bounded(part.features[..., :3]), part.alpha.numpy()])
-                for name, part in zip(composite.layers, layered.layers, strict=True)
+                name: np.dstack([layer.color.clamp(0, 1).numpy(), layer.alpha.numpy()])
+                for name, layer in zip(layers, rendering.layers, strict=True)
             }
         if penetration is None:
-            return _shot(layered.composite, composite.layers, alone)
-        repaired = resolve_penetration(layered, composite.layers, penetration)
-    return _shot(repaired.rendering, composite.layers, alone, repaired.mask, repaired.counts)
+            return replace(_postprocessed(rendering, layers), layers=alone)
+        resolved = resolve_penetration(rendering, layers, penetration)
+        image = _postprocessed(resolved.rendering, layers, resolved.mask, resolved.counts)
+    return replace(image, layers=alone)
 
 
-def _on_cpu(composite: Gaussians, backend: str) -> bool:
-    return backend == "cpu" or (backend == "auto" and not composite.means.is_cuda)
+def _on_cpu(gaussians: Gaussians, backend: str) -> bool:
+    """Whether the tile lists of the CPU backend can be used."""
+    return backend == "cpu" or (backend == "auto" and not gaussians.means.is_cuda)
 
 
-def _shot(
-    picture: Rendering,
+def _postprocessed(
+    rendering: Rendering,
     layers: tuple[str, ...],
-    alone: dict[str, Floats] | None = None,
     repaired: NDArray[np.bool_] | None = None,
     counts: dict[str, int] | None = None,
 ) -> RenderedImage:
-    alpha, features = picture.alpha.numpy(), picture.features.numpy()
+    alpha, features = rendering.alpha.numpy(), rendering.features.numpy()
     color = np.empty((*alpha.shape, 3), np.float32)
     depth, labels = np.empty(alpha.shape, np.float32), np.empty(alpha.shape, np.uint8)
     ids = np.array([label_of(name) for name in layers], np.uint8)
-    develop(features, alpha, picture.depth.numpy(), ids, color, depth, labels)
-    return RenderedImage(color, alpha, depth, labels, alone or {}, repaired, counts or {})
+    postprocess(features, alpha, rendering.depth.numpy(), ids, color, depth, labels)
+    return RenderedImage(color, alpha, depth, labels, repaired=repaired, counts=counts or {})
 
 
 def straight_alpha(color: Floats, alpha: Floats) -> Floats:
@@ -142,7 +124,3 @@ def straight_alpha(color: Floats, alpha: Floats) -> Floats:
 def to_bytes(values: Floats) -> NDArray[np.uint8]:
     """0..1 to 8 bits, rounded."""
     return np.rint(np.clip(values, 0, 1) * 255).astype(np.uint8)
-
-
-def _bounded(features: Tensor) -> Floats:
-    return np.asarray(features.clamp(0, 1).numpy())

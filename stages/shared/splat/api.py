@@ -11,13 +11,16 @@ GPU, else `cpu`.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from stages.shared.capture.camera import Camera
 from stages.shared.errors import UsageProblem
-from stages.shared.splat.rendering import LayeredRendering, Rendering
+from stages.shared.splat.gaussians import Gaussians
+from stages.shared.splat.rendering import Rendering
 from stages.shared.splat.scene import Scene, make_scene
 from stages.shared.splat.settings import SplatSettings
 
@@ -89,7 +92,7 @@ def rasterize_layers(
     background: Tensor | None = None,
     backend: str = "auto",
     settings: SplatSettings = SplatSettings(),
-) -> LayeredRendering:
+) -> Rendering:
     """Render all layers together, and layers as if the others were not there, in one traversal.
 
     One projection, one sort and one walk over the Gaussians; a layer that is not asked for costs nothing.
@@ -109,8 +112,39 @@ def rasterize_layers(
         means, quats, scales, covars, opacities, colors, viewmats, Ks, background, width, height,
         layer_ids, layers, alone, alone_channels, settings,
     )  # fmt: skip
-    composite, *others = _pictures(_backend(backend, scene)(scene), viewmats.ndim == 3)
-    return LayeredRendering(composite, tuple(others))
+    composite, *layers_alone = _pictures(_backend(backend, scene)(scene), viewmats.ndim == 3)
+    return replace(composite, layers=tuple(layers_alone))
+
+
+def render_gaussians(
+    gaussians: Gaussians,
+    camera: Camera,
+    *,
+    alone: Sequence[str] = (),
+    alone_channels: int = 3,
+    backend: str = "auto",
+    settings: SplatSettings = SplatSettings(),
+) -> Rendering:
+    """Render Gaussians as a camera sees them, on black.
+
+    Arguments:
+        alone: names of layers that are also rendered alone; the result's `layers` are in this order.
+        alone_channels: as in `rasterize_layers`.
+    """
+    arrays = (gaussians.means, None, None, gaussians.opacities, gaussians.features)
+    view = (*camera.tensors(gaussians.means.device), camera.width, camera.height)
+    options: dict[str, Any] = {"covars": gaussians.covariances, "backend": backend, "settings": settings}
+    if not alone:
+        return rasterize(*arrays, *view, **options)
+    return rasterize_layers(
+        *arrays,
+        *view,
+        layer_ids=gaussians.layer_ids,
+        layers=len(gaussians.layers),
+        alone=[gaussians.layers.index(name) for name in alone],
+        alone_channels=alone_channels,
+        **options,
+    )
 
 
 def contributions(

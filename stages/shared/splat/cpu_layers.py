@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
+from stages.shared.capture.camera import Camera
 from stages.shared.splat.cpu_steps import (
     FlatGaussians,
     PixelBuffers,
@@ -20,6 +20,7 @@ from stages.shared.splat.cpu_steps import (
     blend_view,
     camera_numbers,
 )
+from stages.shared.splat.gaussians import Gaussians
 from stages.shared.splat.kernels import layout
 from stages.shared.splat.kernels.penetration import ALONE_CHANNELS, mark_shown, resolve_tiles
 from stages.shared.splat.kernels.threads import run_parallel, run_serial
@@ -93,28 +94,16 @@ class LayeredView:
 
 
 def layered_view(
-    means: Tensor,
-    opacities: Tensor,
-    features: Tensor,
-    viewmat: Tensor,
-    intrinsics: Tensor,
-    width: int,
-    height: int,
-    *,
-    covars: Tensor,
-    layer_ids: Tensor,
-    layers: int,
-    settings: SplatSettings = SplatSettings(),
+    gaussians: Gaussians, camera: Camera, settings: SplatSettings = SplatSettings()
 ) -> LayeredView:
-    """Render layers together, float32, without gradients; arguments as in `rasterize_layers`, one camera.
-
-    features (N, 3 + layers): colours, then one-hot layers.
+    """Render all layers together, float32, without gradients.
 
     Raises UsageProblem and BadData as `rasterize_layers` does.
     """
     scene = make_scene(
-        means, None, None, covars, opacities, features, viewmat, intrinsics, None, width, height,
-        layer_ids, layers, (), None, settings,
+        gaussians.means, None, None, gaussians.covariances, gaussians.opacities, gaussians.features,
+        *camera.tensors(gaussians.means.device), None, camera.width, camera.height,
+        gaussians.layer_ids, len(gaussians.layers), (), None, settings,
     )  # fmt: skip
     try:
         return _blended(scene)

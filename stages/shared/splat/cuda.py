@@ -122,4 +122,5 @@ def render_scene(scene: Scene) -> list[Rendering]:
         assert ids is not None
         rows.append(_picture(scene, ids == layer, scene.alone_channels))
     like = scene.means
-    return [Rendering(*(field.to(like.device, like.dtype) for field in row)) for row in rows]
+    moved = [[field.to(like.device, like.dtype) for field in row] for row in rows]
+    return [Rendering(features, alpha, depth) for features, alpha, depth in moved]

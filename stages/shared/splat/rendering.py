@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -17,27 +18,37 @@ class Rendering:
     alpha: ([B,] H, W) sum of w_k = 1 - T_end, in [0, 1).
     depth: ([B,] H, W) sum of w_k z_k in metres, z_k the camera depth of the centre; not divided by alpha.
     median_depth: ([B,] H, W) depth of the Gaussian that takes the transmittance to 0.5 or below, 0 where
-        none does; only when asked for; carries no gradient.
+        none does; only with `SplatSettings.median_depth`; carries no gradient.
+    layers: the layers that were asked for, each as if the others were not there.
     """
 
     features: Tensor
     alpha: Tensor
     depth: Tensor
     median_depth: Tensor | None = None
+    layers: tuple[Rendering, ...] = ()
+
+    @property
+    def color(self) -> Tensor:
+        """([B,] H, W, 3) the first three features."""
+        return self._parts[0]
+
+    @property
+    def labels(self) -> Tensor:
+        """([B,] H, W, C - 3) the other features: of `Gaussians`, how much of a pixel each layer has."""
+        return self._parts[1]
+
+    @cached_property
+    def _parts(self) -> tuple[Tensor, Tensor]:
+        # One split, whose backward is one concatenation; slices would each fill and add a whole picture.
+        color, labels = self.features.split((3, self.features.shape[-1] - 3), dim=-1)
+        return color, labels
 
     @property
     def expected_depth(self) -> Tensor:
-        """([B,] H, W) mean camera depth in metres of what is seen: depth / alpha, 0 where alpha is 0."""
+        """([B,] H, W) mean camera depth in metres: depth / alpha, 0 where alpha is 0."""
         covered = self.alpha > 0
         return torch.where(covered, self.depth / torch.where(covered, self.alpha, 1.0), 0.0)
-
-
-@dataclass(frozen=True)
-class LayeredRendering:
-    """The composite of all layers, and the layers asked for, each as if the others were not there."""
-
-    composite: Rendering
-    layers: tuple[Rendering, ...]
 
 
 def stacked(rows: list[list[Rendering]], dtype: torch.dtype) -> list[Rendering]:

@@ -172,7 +172,7 @@ class Tracker:
             flow = estimate_flow(grey_picture(picture.color, rendered), truth, fine)
             if flow is None:
                 continue
-            depth = picture.depth.double().cpu().numpy()
+            depth = picture.expected_depth.detach().double().cpu().numpy()
             for name in self.tracked:
                 channel = composite.layers.index(name)
                 equations[name].add(

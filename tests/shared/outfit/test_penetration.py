@@ -13,7 +13,7 @@ from stages.shared.outfit.penetration import (
     fill_contours,
     resolve_penetration,
 )
-from stages.shared.splat.rendering import LayeredRendering, Rendering
+from stages.shared.splat.rendering import Rendering
 
 SIZE = 40
 LAYERS = ("body", "upper")
@@ -30,7 +30,7 @@ def _alone(depth: torch.Tensor, color: torch.Tensor, channel: int, count: int) -
     return Rendering(features, alpha, torch.where(shown, depth, 0.0))
 
 
-def _layered(depths: list[torch.Tensor], colors: list[torch.Tensor]) -> LayeredRendering:
+def _layered(depths: list[torch.Tensor], colors: list[torch.Tensor]) -> Rendering:
     """Layers and their composite: the nearest one wins."""
     alone = [_alone(d, c, k, len(depths)) for k, (d, c) in enumerate(zip(depths, colors, strict=True))]
     nearest = torch.stack(depths).argmin(dim=0)
@@ -39,7 +39,7 @@ def _layered(depths: list[torch.Tensor], colors: list[torch.Tensor]) -> LayeredR
     for index, part in enumerate(alone):
         own = nearest == index
         features[own], alpha[own], depth[own] = part.features[own], part.alpha[own], part.depth[own]
-    return LayeredRendering(Rendering(features, alpha, depth), tuple(alone))
+    return Rendering(features, alpha, depth, layers=tuple(alone))
 
 
 def _plane(value: float, rows: slice = slice(None), columns: slice = slice(None)) -> torch.Tensor:
@@ -52,7 +52,7 @@ def test_skin_through_a_hole_in_the_shirt_is_fixed() -> None:
     body, shirt = _plane(2.0), _plane(1.98, slice(5, 35), slice(5, 35))
     body[18:22, 18:22] = 1.97  # one centimetre out of the shirt
     scene = _layered([body, shirt], [RED, BLUE])
-    assert torch.allclose(scene.composite.features[20, 20, :3], RED)
+    assert torch.allclose(scene.features[20, 20, :3], RED)
     result = resolve_penetration(scene, LAYERS)
     assert torch.allclose(result.rendering.features[20, 20, :3], BLUE)
     assert float(result.rendering.depth[20, 20]) == pytest.approx(1.98)
@@ -65,7 +65,7 @@ def test_an_arm_in_front_of_the_shirt_is_kept() -> None:
     body[15:20, 10:30] = 1.9
     scene = _layered([body, shirt], [RED, BLUE])
     result = resolve_penetration(scene, LAYERS)
-    assert torch.equal(result.rendering.features, scene.composite.features)
+    assert torch.equal(result.rendering.features, scene.features)
     assert result.counts["body/upper"] == 0 and not result.mask.any()
 
 
@@ -76,7 +76,7 @@ def test_an_arm_in_a_sleeve_opening_is_kept() -> None:
     arm = _plane(1.99, slice(14, 26), slice(14, 26))
     scene = _layered([arm, shirt], [RED, BLUE])
     result = resolve_penetration(scene, LAYERS)
-    assert torch.equal(result.rendering.features, scene.composite.features)
+    assert torch.equal(result.rendering.features, scene.features)
     assert not result.mask.any()
 
 
@@ -84,7 +84,7 @@ def test_without_an_outer_layer_nothing_happens() -> None:
     nothing = torch.full((SIZE, SIZE), torch.inf)
     scene = _layered([_plane(2.0, slice(5, 35)), nothing], [RED, BLUE])
     result = resolve_penetration(scene, LAYERS)
-    assert torch.equal(result.rendering.features, scene.composite.features)
+    assert torch.equal(result.rendering.features, scene.features)
     assert result.counts == {"body/upper": 0}
     alone = _layered([_plane(2.0)], [RED])
     assert resolve_penetration(alone, ("body",)).counts == {}
@@ -94,7 +94,7 @@ def test_skin_outside_the_outline_is_kept() -> None:
     body, shirt = _plane(2.0), _plane(1.98, slice(5, 35), slice(5, 25))
     scene = _layered([body, shirt], [RED, BLUE])
     result = resolve_penetration(scene, LAYERS)
-    assert torch.equal(result.rendering.features[:, 26:], scene.composite.features[:, 26:])
+    assert torch.equal(result.rendering.features[:, 26:], scene.features[:, 26:])
 
 
 def test_a_garment_in_front_of_another_is_not_taken_for_skin() -> None:
@@ -104,11 +104,11 @@ def test_a_garment_in_front_of_another_is_not_taken_for_skin() -> None:
     green = torch.tensor([0.1, 0.9, 0.1])
     scene = _layered([body, lower, upper], [RED, BLUE, green])
     result = resolve_penetration(scene, ("body", "lower", "upper"))
-    assert torch.equal(result.rendering.features, scene.composite.features)
+    assert torch.equal(result.rendering.features, scene.features)
     deep = _plane(2.0), _plane(1.9, slice(5, 35), slice(5, 35)), _plane(1.93, slice(10, 30), slice(10, 30))
     poking = _layered(list(deep), [RED, BLUE, green])
-    poking.composite.features[12:28, 12:28] = torch.tensor([*green.tolist(), 0.0, 0.0, 1.0])
-    poking.composite.features[18:20, 18:20, 3:] = torch.tensor([0.0, 1.0, 0.0])
+    poking.features[12:28, 12:28] = torch.tensor([*green.tolist(), 0.0, 0.0, 1.0])
+    poking.features[18:20, 18:20, 3:] = torch.tensor([0.0, 1.0, 0.0])
     found = resolve_penetration(poking, ("body", "lower", "upper"))
     assert found.counts["lower/upper"] == 4
 
@@ -161,4 +161,4 @@ def test_try_on_margins_fix_more_and_still_keep_an_arm() -> None:
     assert resolve_penetration(scene, LAYERS).counts["body/upper"] == 0
     repaired = resolve_penetration(scene, LAYERS, TRYON_MARGINS)
     assert repaired.counts["body/upper"] == 4
-    assert torch.equal(repaired.rendering.features[22:26, 10:30], scene.composite.features[22:26, 10:30])
+    assert torch.equal(repaired.rendering.features[22:26, 10:30], scene.features[22:26, 10:30])

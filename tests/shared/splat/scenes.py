@@ -70,7 +70,7 @@ class Case:
         found = rasterize_layers(
             *arguments, layer_ids=self.layer_ids, layers=self.layers, **chosen, **options
         )
-        return [found.composite, *found.layers]
+        return [replace(found, layers=()), *found.layers]
 
 
 def look_at(distance: float = 3.0, turn: float = 0.3) -> Tensor:

@@ -18,8 +18,9 @@ from stages.shared.avatar.maps import LayerMaps
 from stages.shared.avatar.pose import frame_pose
 from stages.shared.body import BodyModel, Poses, embedded_body
 from stages.shared.capture import Camera, native_writer
+from stages.shared.splat.rendering import Rendering
 from stages.train.config import PRESETS, LearningRates, TrainConfig
-from stages.train.objective import Picture, render
+from stages.train.objective import render
 from tests.shared.avatar.tubes import CENTRE, GRID, PITCH, tube_arrays
 
 SIZE = 40
@@ -116,7 +117,7 @@ def _picture(
 
 def look(
     models: dict[str, StyleUNetDecoder], body: BodyModel, motion: Poses, frame: int, camera: Camera
-) -> Picture:
+) -> Rendering:
     """All layers in one frame."""
     one = motion[frame]
     pose = frame_pose(body, *(torch.from_numpy(a) for a in (one.rotations[0], one.translation[0], one.betas)))

@@ -54,8 +54,9 @@ def test_a_window_is_the_cut_out_of_the_whole(subject: Path) -> None:
             assert torch.equal(getattr(part, name), getattr(whole, name)[cut]), name
         picture = render(composite, part.camera, body_alone=True)
         assert picture.alpha.max() > 0.5
-        for name in ("color", "labels", "alpha", "body_alpha", "depth"):
+        for name in ("color", "labels", "alpha", "expected_depth"):
             assert torch.allclose(getattr(picture, name), getattr(seen, name)[cut], atol=2e-4), name
+        assert torch.allclose(picture.layers[0].alpha, seen.layers[0].alpha[cut], atol=2e-4)
     assert len(places) > 2
 
 

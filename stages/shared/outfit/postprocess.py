@@ -1,4 +1,4 @@
-"""From blended features to a picture, in one pass over the pixels, compiled."""
+"""Turns blended features into colours, depth and labels, in one compiled pass over the pixels."""
 
 from __future__ import annotations
 
@@ -14,14 +14,15 @@ _LABEL_ALPHA = np.float32(0.5)  # thinner than this counts as background, for la
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def develop(features, alpha, summed_depth, ids, color, depth, labels):
+def postprocess(features, alpha, summed_depth, ids, color, depth, labels):
     """Colour, depth and labels of a rendering.
 
     Arguments:
         features: (H, W, 3 + L) colours and one-hot labels, blended. alpha, summed_depth: (H, W).
         ids: (L,) u8 label id of every layer.
-        color: (H, W, 3) gets the colours within 0..1. depth: (H, W) gets the mean depth in metres, 0 where
-            nothing is. labels: (H, W) u8 gets the id of the layer that shows most (the first of equals).
+        color: (H, W, 3) is set to the colours, clipped to 0..1.
+        depth: (H, W) is set to the mean depth in metres, 0 where nothing is.
+        labels: (H, W) u8 is set to the id of the layer with the largest share (the first of equals).
     """
     zero, one = np.float32(0.0), np.float32(1.0)
     for row in range(alpha.shape[0]):

@@ -1,0 +1,1 @@
+"""Small foreign inputs with their expected answers, kept outside the repository."""

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -25,16 +26,19 @@ from stages.shared.errors import UsageProblem
 from stages.shared.outfit.cached_poser import CachedPoser
 from stages.shared.outfit.outfit import Outfit
 from stages.shared.report import SILENT, Report
+from stages.shared.splat.gaussians import Gaussians
 from stages.shared.web.pack import UNIT, color_bytes, half_covariances, packed, quantised
 
 MAGIC = 0x43575347
 MOST_FRAMES = 3000
 LARGEST_PAGE = 10_000_000  # bytes, with everything encoded
 _WEIGHTS = 4
-_KEY_SECONDS = 1 / 6  # between key frames
+_TOLERANCE = 1e-3  # m between an interpolated place and the true one
+_SAMPLES = 600_000  # places from which key frames are chosen
 _CLIPPED = 0.9995  # share of offsets that are not clipped to eight bits
 _UPPER = ([0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2])
 
+Floats = NDArray[np.float32]
 Doubles = NDArray[np.float64]
 
 
@@ -43,7 +47,7 @@ def pack_clip(
 ) -> bytes:
     """The bytes of the frames `rows` of a motion, shown `rate` times a second.
 
-    Key frames are one sixth of a second apart, or farther where the page would be larger than 10 MB.
+    There are as many key frames as the motion needs, and no more than a page of 10 MB has room for.
 
     Raises UsageProblem: more than 3,000 frames.
     """
@@ -55,8 +59,9 @@ def pack_clip(
         )
     bones = _bones(outfit, poses, rows)
     joints, weights = _four_weights(np.concatenate([_skin_weights(layer.maps) for layer in outfit.layers]))
-    keys = key_frames(len(rows), len(joints), rate)
-    rest, offsets, covariances, tints = _canonical(outfit, poses, rows, keys, bones, joints, weights, report)
+    skinned = _Skinned(CachedPoser(outfit), poses, rows, bones, joints, weights)
+    keys = key_frames(skinned.sample(report), affordable_keys(len(rows), len(joints)))
+    rest, offsets, covariances, tints = _canonical(skinned, keys, report)
     counts = [len(layer.maps) for layer in outfit.layers]
     starts = np.concatenate([[0], np.cumsum(counts)]).tolist()
     units, steps = [], np.empty(offsets.shape, np.int8)
@@ -87,35 +92,82 @@ def pack_clip(
     return packed(MAGIC, info, columns)
 
 
-def key_frames(frames: int, gaussians: int, rate: float) -> list[int]:
-    """Indices of the key frames among `frames`: evenly spread, the first and the last among them."""
-    wanted = 1 + int(np.ceil((frames - 1) / rate / _KEY_SECONDS))
+def affordable_keys(frames: int, gaussians: int) -> int:
+    """Number of key frames with which a page stays below `LARGEST_PAGE`; at least two."""
     room = int(0.75 * LARGEST_PAGE) - 30 * gaussians - 2640 * frames - 60_000  # base64 takes a third more
-    affordable = max(2, room // max(1, 3 * gaussians))
-    count = max(1, min(frames, wanted, affordable))
-    return sorted({int(index) for index in np.linspace(0, frames - 1, count).round()})
+    return max(2, room // max(1, 3 * gaussians))
+
+
+def key_frames(places: Floats, most: int) -> list[int]:
+    """Indices of the key frames: the ends, then again and again the frame that is interpolated worst.
+
+    Ends when 99 % of the places are interpolated within a millimetre in every frame.
+
+    Arguments:
+        places: (T, M, 3) m, canonical places of some Gaussians in every frame. most: of key frames.
+    """
+    keys, errors = [0], np.zeros(len(places))
+    if len(places) > 1:
+        keys.append(len(places) - 1)
+        errors[:] = _interpolation_errors(places, 0, len(places) - 1)
+    while len(keys) < most and errors.max() > _TOLERANCE:
+        worst = int(errors.argmax())
+        keys = sorted([*keys, worst])
+        at = keys.index(worst)
+        for first, last in itertools.pairwise(keys[at - 1 : at + 2]):
+            errors[first : last + 1] = _interpolation_errors(places, first, last)
+    return keys
+
+
+def _interpolation_errors(places: Floats, first: int, last: int) -> Doubles:
+    """(last − first + 1,) m that 99 % of the places are off at most, interpolated between two frames."""
+    shares = np.linspace(0, 1, last - first + 1, dtype=np.float32)[:, None, None]
+    between = (1 - shares) * places[first] + shares * places[last]
+    distances = np.linalg.norm(places[first : last + 1] - between, axis=2)
+    return np.asarray(np.quantile(distances, 0.99, axis=1), np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class _Skinned:
+    """A motion, and what takes its Gaussians back to canonical space.
+
+    bones: (T, 55, 4, 4) world_from_canonical. joints, weights: (N, 4) as `_four_weights` makes them.
+    """
+
+    poser: CachedPoser
+    poses: Poses
+    rows: Sequence[int]
+    bones: Doubles
+    joints: NDArray[np.int64]
+    weights: NDArray[np.int64]
+
+    def canonical(self, frame: int, step: int = 1) -> tuple[Gaussians, Doubles, Doubles]:
+        """Of every `step`-th Gaussian: all Gaussians in the world, canonical_from_world (3, 3), places."""
+        gaussians = self.poser.composite(self.poses, self.rows[frame])
+        matrices = blended(self.bones[frame], self.joints[::step], self.weights[::step])
+        canonical_from_world: Doubles = np.asarray(np.linalg.inv(matrices[:, :, :3]), np.float64)
+        moved = gaussians.means[::step].double().numpy() - matrices[:, :, 3]
+        return gaussians, canonical_from_world, np.einsum("nij,nj->ni", canonical_from_world, moved)
+
+    def sample(self, report: Report) -> Floats:
+        """(T, M, 3) m canonical places of some Gaussians in all frames."""
+        step = max(1, len(self.joints) * len(self.rows) // _SAMPLES)
+        places = []
+        for frame in range(len(self.rows)):
+            places.append(self.canonical(frame, step)[2].astype(np.float32))
+            report.progress(frame + 1, len(self.rows))
+        return np.stack(places)
 
 
 def _canonical(
-    outfit: Outfit,
-    poses: Poses,
-    rows: Sequence[int],
-    keys: Sequence[int],
-    bones: Doubles,
-    joints: NDArray[np.int64],
-    weights: NDArray[np.int64],
-    report: Report,
+    skinned: _Skinned, keys: Sequence[int], report: Report
 ) -> tuple[Doubles, Doubles, Doubles, Doubles]:
     """Rest places (N, 3) m, offsets (K, N, 3) m, covariances (N, 3, 3) m², colours and opacities (N, 4)."""
-    poser = CachedPoser(outfit)
-    places = np.empty((len(keys), len(joints), 3))
-    covariances, tints = np.zeros((len(joints), 3, 3)), np.zeros((len(joints), 4))
+    count = len(skinned.joints)
+    places = np.empty((len(keys), count, 3))
+    covariances, tints = np.zeros((count, 3, 3)), np.zeros((count, 4))
     for index, key in enumerate(keys):
-        gaussians = poser.composite(poses, rows[key])
-        matrices = blended(bones[key], joints, weights)
-        canonical_from_world = np.linalg.inv(matrices[:, :, :3])
-        moved = gaussians.means.double().numpy() - matrices[:, :, 3]
-        places[index] = np.einsum("nij,nj->ni", canonical_from_world, moved)
+        gaussians, canonical_from_world, places[index] = skinned.canonical(key)
         world = gaussians.covariances.double().numpy()
         covariances += canonical_from_world @ world @ canonical_from_world.transpose(0, 2, 1) / len(keys)
         colors = gaussians.features[:, :3].numpy(), gaussians.opacities.numpy()

@@ -63,6 +63,8 @@ class TrackConfig:
             outside the body it would otherwise be followed into; 0 lets it.
         labels: label images help: each label has grey levels of its own, and cloth is followed into its own
             label only.
+        scale: size of the pictures that warm-up and tracking see, 1 is the capture's; 0 for the size at which
+            a texel covers two to three pixels (`resolve.scale_by_texel`).
     """
 
     frame_step: int = option(
@@ -79,6 +81,12 @@ class TrackConfig:
     inertia: float = 0.3
     collision: float = 0.0
     labels: bool = field(default=True, metadata={"said_if_set": True})
+    scale: float = option(
+        0.0,
+        "Size of the pictures that warm-up and tracking see, 1 is full size; 0: so that a texel covers two "
+        "to three pixels.",
+        flag="--track-scale", min=0, max=1, said_if_set=True,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

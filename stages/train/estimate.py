@@ -187,7 +187,8 @@ def _picture_bytes(layers: int, config: TrainConfig, extent: Extent) -> int:
     if config.patch:
         pixels = min(pixels, config.patch**2)
     view = (_VIEW_FLOATS + layers) * _FLOAT
-    tracked = view * extent.cameras * extent.pixels if extent.followed else 0
+    tracked_pixels = extent.pixels * (config.track.scale or 1.0) ** 2
+    tracked = view * extent.cameras * tracked_pixels if extent.followed else 0
     step = 2 * config.views_per_step * view * pixels
     return int(cached + max(tracked, step) + _RENDER_FLOATS * _FLOAT * pixels)
 

@@ -19,7 +19,7 @@ from stages.train.checkpoint import METRICS_NAME, RunState
 from stages.train.config import TrainConfig
 from stages.train.monitor import IntervalCallback, preview, preview_views
 from stages.train.tensorboard import TensorBoardLogger
-from stages.train.tracking.tracker import Interrupted
+from stages.train.tracking.tracker import Interrupted, Tracker
 from stages.train.trainer import StepReport, Trainer
 
 _CHECKPOINT_SECONDS = 60.0
@@ -27,6 +27,7 @@ _PREVIEW_SECONDS = 120.0
 _STEPS_PER_LINE = 10
 _MOST_SKIPPED = 3
 _STEPS_PER_LEVELLING = 200  # processes on different machines, or GPUs, may drift apart by rounding
+_TRACKING_LIMIT = 0.5  # share of `minutes` after which frames are no longer tracked
 _SAVING_SHARE = 10.0  # tracking runs at least this many times as long as saving its checkpoints
 
 
@@ -111,6 +112,8 @@ def _track(
             if processes.first:  # the others wait, and take over what it fits
                 if state.tracked < 0:
                     trainer.warm_up(counter.count_step)
+                elif _is_late(trainer.config, state):
+                    _carry_on(tracker, state, report)
                 else:
                     tracker.follow(state.tracked, counter.count_view)
             state.tracked += 1
@@ -130,6 +133,23 @@ def _track(
             saved = time.monotonic()
             save_seconds = saved - saving
     processes.spread(list(trainer.parameters.values()))
+
+
+def _is_late(config: TrainConfig, state: RunState) -> bool:
+    """Whether tracking has taken its share of the time that a run may take."""
+    return 0 < _TRACKING_LIMIT * 60.0 * config.minutes < state.elapsed
+
+
+def _carry_on(tracker: Tracker, state: RunState, report: Report) -> None:
+    """Give all frames that are left but one the offsets of the frame before; the caller counts that one."""
+    frames = len(tracker.order)
+    report.warn(
+        f"tracking took half of the time: {frames - state.tracked} of {frames} frames start with the offsets "
+        "of the frame before them"
+    )
+    for place in range(state.tracked, frames):
+        tracker.carry(place)
+    state.tracked = frames - 1
 
 
 class _TrackingCounter:

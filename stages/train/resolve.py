@@ -5,8 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
+import torch
+
 from stages.shared.avatar.config import NETWORKS
 from stages.shared.avatar.decoders.registry import decoder_class
+from stages.shared.body import posed_vertices
+from stages.shared.body.posed import pose_tensors
 from stages.shared.errors import UsageProblem
 from stages.train.ablation import apply_ablation
 from stages.train.config import TrainConfig
@@ -19,14 +24,15 @@ from stages.train.take_sequence import TakeSequence
 _TRACKING_SHARE = 1 / 3  # of `minutes`
 _FRAMES_BY_TIME = 40  # frames of a take that presets without a step learn from
 _LONGEST_GAP = 0.5  # s between two of them
+_PIXELS_PER_TEXEL = 2.5  # that warm-up and tracking look at
 
 
 def resolve(config: TrainConfig, source: Source) -> TrainConfig:
     """The configuration that a run uses.
 
-    Method, decoder and ablation are applied. `frame_step` is set where it depends on the take.
-    `track.frame_step` is what the time allows. `model.anchors` is the number of key poses. Losses that only a
-    frozen body could answer are off.
+    Method, decoder and ablation are applied. `frame_step` follows from the take where it is 0, `track.scale`
+    from the size of a texel. `track.frame_step` is what the time allows. `model.anchors` is the number of key
+    poses. Losses that only a frozen body could answer are off.
 
     Raises:
         UsageProblem: as `resolve_settings`.
@@ -35,6 +41,8 @@ def resolve(config: TrainConfig, source: Source) -> TrainConfig:
     if not config.frame_step:
         frames = source.sequence.takes[0].frames
         config = replace(config, frame_step=frame_step_by_time(len(frames), source.poses.fps))
+    if not config.track.scale:
+        config = replace(config, track=replace(config.track, scale=_scale_of(source)))
     config = affordable_tracking(config, source.sequence)
     config = replace(config, model=replace(config.model, anchors=_key_poses(config, source.sequence)))
     return replace(config, weights=source.warm_start.weights(config.weights))
@@ -78,6 +86,17 @@ def frame_step_by_time(frames: int, fps: float) -> int:
     return max(1, min(frames // _FRAMES_BY_TIME, int(_LONGEST_GAP * fps)))
 
 
+def scale_by_texel(focal: float, distance: float, pitch: float) -> float:
+    """Size of pictures, at most 1, at which a texel covers two to three pixels.
+
+    Finer pictures would show nothing that the texels could follow.
+
+    Arguments:
+        focal: px. distance: m along the camera's axis. pitch: m per texel.
+    """
+    return min(1.0, _PIXELS_PER_TEXEL / max(focal * pitch / max(distance, 1e-3), 1e-9))
+
+
 def affordable_tracking(config: TrainConfig, sequence: TakeSequence) -> TrainConfig:
     """The configuration with a step between tracked frames that `minutes` leave time for.
 
@@ -103,3 +122,19 @@ def _key_poses(config: TrainConfig, sequence: TakeSequence) -> int:
     if config.track.frame_step:
         return len(sequence.every(config.track.frame_step))
     return min(config.model.anchors, len(sequence.every(config.frame_step)))
+
+
+def _scale_of(source: Source) -> float:
+    """`scale_by_texel` of the finest layer in the template's frame: the median of the training cameras."""
+    frame = source.template_frame
+    vertices = posed_vertices(
+        source.body, *pose_tensors(source.poses, frame), torch.from_numpy(source.poses.expression[frame])
+    )
+    centre = vertices.mean(dim=0).double().numpy()
+    pitch = min(maps.pitch for maps in source.layers.maps.values())
+    scales = []
+    for name in source.sequence.training_cameras:
+        camera = source.sequence.camera(name, frame)
+        distance = float(camera.camera_from_world[2, :3] @ centre + camera.camera_from_world[2, 3])
+        scales.append(scale_by_texel(float(camera.intrinsics[0, 0]), distance, pitch))
+    return round(float(np.median(scales)), 3)

@@ -126,7 +126,13 @@ def plan(
     return Plan(
         inputs=[str(source.registered.path), str(source.baked.path), str(source.capture.root), *others],
         outputs=[f"{workspace.root / TRAIN.name}/<key>/{name}.safetensors" for name in maps],
-        config=asdict(replace(config, frame_step=resolved.frame_step)),
+        config=asdict(
+            replace(
+                config,
+                frame_step=resolved.frame_step,
+                track=replace(config.track, scale=resolved.track.scale),
+            )
+        ),
         seconds=estimate.seconds(maps, resolved, extent),
         memory_bytes=estimate.memory_bytes(maps, resolved, extent),
         disk_bytes=estimate.disk_bytes(maps, resolved),

@@ -161,6 +161,7 @@ class Trainer:
             config.track.warm_up,
             config.views_per_step,
             config.seed,
+            config.track.scale or 1.0,
             pretrained,
             checkpoint,
         )

@@ -103,7 +103,7 @@ class Tracker:
     @property
     def units_per_frame(self) -> int:
         """How often `follow` calls its checkpoint."""
-        return self.config.rounds * len(self.views.sequence.training_cameras)
+        return (1 + self.config.rounds) * len(self.views.sequence.training_cameras)
 
     @torch.no_grad()
     def follow(self, place: int, checkpoint: Checkpoint = lambda: None) -> None:
@@ -125,7 +125,10 @@ class Tracker:
                 before = _control_points(layer, earlier)
                 points[name] = reference[name] + _EXTRAPOLATION * (reference[name] - before)
         pose = self.poses(frame)
-        views = [self.views.view(frame, camera) for camera in self.views.sequence.training_cameras]
+        views = []
+        for camera in self.views.sequence.training_cameras:
+            checkpoint()
+            views.append(self.views.view(frame, camera, self.config.scale or 1.0))
         rounds, residuals = self.config.rounds, self.pretrained.residuals(frame) if self.pretrained else {}
         for number in range(rounds):
             equations = self._equations(pose, views, points, residuals, number == rounds - 1, checkpoint)
@@ -135,6 +138,15 @@ class Tracker:
             }
         for name, layer in self.tracked.items():
             self._store(layer, index, points[name])
+
+    @torch.no_grad()
+    def carry(self, place: int) -> None:
+        """Give the frame at `place` of `order` the offsets of the frame that it is reached from."""
+        index = self.order[place]
+        last = self.route.before[index]
+        for name, layer in self.tracked.items():
+            points = self._initial(name, layer) if last is None else _control_points(layer, last)
+            self._store(layer, index, points)
 
     def _descriptions(self) -> Tensor:
         """(K, 198) rotations of the body's joints in every frame, for distances between poses."""

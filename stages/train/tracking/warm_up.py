@@ -33,6 +33,7 @@ def warm_up(
     steps: int,
     views_per_step: int,
     seed: int,
+    scale: float,
     pretrained: Mapping[str, PosedGaussians],
     checkpoint: Checkpoint = lambda: None,
 ) -> None:
@@ -42,8 +43,9 @@ def warm_up(
     look like the frame.
 
     Arguments:
-        weights: of the picture terms; flow and LPIPS are not used. pretrained: layers in that frame that were
-            learned before; they stay as they are. checkpoint: called once per step.
+        weights: of the picture terms; flow and LPIPS are not used. scale: size of the pictures.
+        pretrained: layers in that frame that were learned before; they stay as they are.
+        checkpoint: called once per step.
 
     Raises:
         Interrupted: by `checkpoint`; the attributes are then as they were.
@@ -84,7 +86,7 @@ def warm_up(
         mask_gradients(composite, observed)
         losses = []
         for number in chosen:
-            view = views.view(frame, cameras[number]).to(composite.means.device)
+            view = views.view(frame, cameras[number], scale).to(composite.means.device)
             background = torch.from_numpy(generator.random(3).astype(np.float32)).to(composite.means)
             terms = picture_terms(composite, view, background, weights, label_kind)
             losses.append(weighted(terms, weights))

@@ -1,4 +1,4 @@
-"""Posed Gaussians with covariances as Gaussians with axes and lengths, which every format has."""
+"""Converts covariances to rotations and scales, which every splat format stores."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SMALLEST_SCALE = 1e-6  # m; what the 3DGS layout keeps apart from zero
 
 
 def cloud_of(composite: Gaussians) -> SplatCloud:
-    """All Gaussians of a composite, their layer's index in `layers`.
+    """All Gaussians; `layers` has the index of the layer of each.
 
     Skinning shears a Gaussian, so that no rotation and scale of the canonical one describe it; the principal
     axes of its covariance do, exactly. Scales come largest first.

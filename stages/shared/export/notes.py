@@ -1,4 +1,4 @@
-"""What a reader of an exported file must know, as JSON beside it: viewers disagree about all of it."""
+"""Frame, unit, axes and colours of an exported file, as JSON next to it, since viewers disagree."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What stands behind a person in films and contact sheets: a colour, nothing, or a picture."""
+"""The background of videos and contact sheets: a colour, transparency, or a picture."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from stages.shared.errors import BadData, UsageProblem
 
 _NAMED = {"white": "#ffffff", "black": "#000000", "grey": "#808080", "gray": "#808080"}
 _SUFFIXES = (".png", ".jpg", ".jpeg")
-_CHECKER = (0.92, 0.80)  # what a contact sheet shows where nothing is
+_CHECKER = (0.92, 0.80)  # tones of a contact sheet where the background is transparent
 
 
 @dataclass(frozen=True, eq=False)
 class Background:
-    """A colour, or a picture, or neither of them: transparent.
+    """A colour, a picture, or (with neither) transparency.
 
     Attributes:
-        color: sRGB 0..1. picture: (H, W, 3) u8 sRGB; it covers the frame, what is too much is cut off evenly.
+        color: sRGB 0..1. picture: (H, W, 3) u8 sRGB; it covers the frame and is cropped about its centre.
     """
 
     color: tuple[float, float, float] | None = (1.0, 1.0, 1.0)
@@ -29,7 +29,7 @@ class Background:
 
     @property
     def transparent(self) -> bool:
-        """Whether nothing stands behind."""
+        """Whether there is neither colour nor picture."""
         return self.color is None and self.picture is None
 
     def behind(self, height: int, width: int) -> NDArray[np.float32]:

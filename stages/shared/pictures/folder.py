@@ -17,7 +17,7 @@ def output_folder(path: Path, result_name: str, mark: str) -> Iterator[Path]:
     """A folder to fill; it gets the name `path` at the end of the block, or nothing happens.
 
     An older output of the same kind is replaced: a folder whose `result_name` says `"format": mark`. Anything
-    else that stands there is left alone.
+    else at that path is refused.
 
     Raises:
         UsageProblem: `path` is something else than an older output. StorageFailure: disk full, no permission.

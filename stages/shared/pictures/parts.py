@@ -1,7 +1,7 @@
 """Output folders that are filled over several runs: by shards, or again after a kill.
 
-Beside the folder OUT stands `.OUT.part-KEY` until everything is in it; then it gets the name OUT. KEY is a
-digest of all that decides what the files hold, so a run never goes on with another one's files.
+Until it is complete, the folder OUT is called `.OUT.part-KEY`; then it is renamed to OUT. KEY is a digest of
+everything that determines the content, so that a run never continues with the files of another one.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from stages.shared.errors import UsageProblem
 
 Item = TypeVar("Item")
 _LOCKS = "locks"
-RECORDS = "records"  # of what is finished; goes when the folder gets its name
+RECORDS = "records"  # of finished items; removed when the folder gets its final name
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Share:
         return self.count == 1
 
     def of(self, items: Sequence[Item]) -> list[Item]:
-        """Every n-th item, so that all parts cost about the same."""
+        """Every n-th item, so that all shares cost about the same."""
         return list(items[self.index - 1 :: self.count])
 
 
@@ -50,7 +50,7 @@ def parse_share(text: str) -> Share:
 
 @contextlib.contextmanager
 def part_folder(path: Path, key: str, share: Share) -> Iterator[Path]:
-    """The unfinished folder of `path`, made if it is not there; it stays whatever happens in the block.
+    """The unfinished folder of `path`, created if missing; it stays when the block raises.
 
     Raises:
         Locked: another process does the same part, or the whole while parts are still at work.
@@ -73,7 +73,7 @@ def finish(folder: Path, path: Path, finished: Sequence[Path]) -> None:
     """Give a part folder its name; an older output there is replaced, parts of other runs are removed.
 
     Arguments:
-        finished: files that are not on the disk for certain yet.
+        finished: files that may not have reached the disk yet.
     """
     for file in finished:
         flush_file(file)

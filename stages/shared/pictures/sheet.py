@@ -1,4 +1,4 @@
-"""Many pictures in one: equal cells in rows."""
+"""Contact sheets: pictures in rows of equal cells."""
 
 from __future__ import annotations
 

@@ -1,13 +1,14 @@
-"""Camera paths out of a JSON file: keys between which a camera glides, or one camera for every frame.
+"""Camera paths out of a JSON file: keys between which the camera is interpolated, or one camera per frame.
 
     {"format": "gw-camera-path", "version": 1,
      "keys": [{"frame": 0, "position": [0, 1.2, 3], "target": [0, 1, 0], "field_of_view": 35},
               {"frame": 90, "position": [3, 1.2, 0], "target": [0, 1, 0]}]}
 
-`frame` counts the frames of the film from 0 and may have a fraction; `position` and `target` are metres in
-the world; `field_of_view` is in degrees from top to bottom (30 where the first key is silent, later the key
-before); `up` is [0, 1, 0] unless said. Between keys everything follows a smooth curve through the keys that
-does not overshoot (Fritsch and Carlson 1980); before the first and after the last it stands still.
+`frame` counts the frames of the sequence from 0 and may be fractional. `position` and `target` are metres in
+the world. `field_of_view` is in degrees from top to bottom; the first key's default is 30, that of later keys
+is the value of the key before. `up` is [0, 1, 0] by default. Between keys everything follows a smooth curve
+through the keys that does not overshoot (Fritsch and Carlson 1980). Before the first and after the last key
+the camera does not move.
 
     {"format": "gw-camera-path", "version": 1,
      "cameras": [{"width": 512, "height": 512, "intrinsics": [[740, 0, 256], [0, 740, 256], [0, 0, 1]],
@@ -38,7 +39,7 @@ _MOST_KEYS = 100_000
 
 
 def path_cameras(path: Path, frames: int, size: tuple[int, int]) -> list[Camera]:
-    """One camera per frame of the film.
+    """One camera per frame of the sequence.
 
     Arguments:
         size: width, height in pixels, for keys; cameras with matrices state their own.
@@ -55,12 +56,12 @@ def path_cameras(path: Path, frames: int, size: tuple[int, int]) -> list[Camera]
     if not all(isinstance(entry, dict) for entry in listed):
         raise _refused("a key is not an object", path)
     if "cameras" in content:
-        given = [_given_camera(entry, index, path) for index, entry in enumerate(listed)]
-        return [given[min(frame, len(given) - 1)] for frame in range(frames)]
+        cameras = [_matrix_camera(entry, index, path) for index, entry in enumerate(listed)]
+        return [cameras[min(frame, len(cameras) - 1)] for frame in range(frames)]
     times, values = _keys(listed, path)
     curve = _curve(times, values)
     moments = np.clip(np.arange(frames, dtype=float), times[0], times[-1])
-    return [_looking(row, size, path) for row in curve(moments)]
+    return [_key_camera(row, size, path) for row in curve(moments)]
 
 
 def _keys(listed: list[dict[str, Any]], path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -99,7 +100,7 @@ def _curve(times: NDArray[np.float64], values: NDArray[np.float64]) -> Any:
     return PchipInterpolator(times, values, axis=0)
 
 
-def _looking(row: NDArray[np.float64], size: tuple[int, int], path: Path) -> Camera:
+def _key_camera(row: NDArray[np.float64], size: tuple[int, int], path: Path) -> Camera:
     """The camera of position, target, up and field of view (10,)."""
     position, target, up, angle = row[:3], row[3:6], row[6:9], row[9]
     forward = target - position
@@ -117,7 +118,7 @@ def _looking(row: NDArray[np.float64], size: tuple[int, int], path: Path) -> Cam
     return Camera("path", width, height, intrinsics, camera_from_world)
 
 
-def _given_camera(entry: dict[str, Any], index: int, path: Path) -> Camera:
+def _matrix_camera(entry: dict[str, Any], index: int, path: Path) -> Camera:
     try:
         numbers = entry["width"], entry["height"], entry["intrinsics"], entry["camera_from_world"]
     except KeyError as error:

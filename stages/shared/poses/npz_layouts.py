@@ -205,7 +205,7 @@ class _Layouts:
             if not np.isfinite(narrow).all():
                 index = [int(i) for i in np.argwhere(~np.isfinite(narrow))[0]]
                 raise BadData(
-                    f"The {name} are beyond what 32 bits can hold.",
+                    f"{name} is beyond what 32 bits can hold.",
                     f"{self.file.path}: {name}{index}",
                     KNOWN_LAYOUTS,
                 )

@@ -1,4 +1,4 @@
-"""`gw doctor`: what this machine can do."""
+"""`gw doctor`: what this machine can do, and what is wrong with a capture."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def register(app: typer.Typer) -> None:
     @command
     def doctor(
         folder: Annotated[
-            Path, typer.Argument(help="Where results would go: its disk is looked at.", metavar="FOLDER")
+            Path, typer.Argument(help="A capture, or where results would go.", metavar="FOLDER")
         ] = Path(),
         as_json: Json = False,
     ) -> None:
@@ -26,11 +26,20 @@ def register(app: typer.Typer) -> None:
         Says what will be slow and what is broken, each with its cure. The difficult libraries (open3d,
         pymeshlab, CUDA) are tried in child processes, so that a crash is a line here. Ends with exit code 66
         if something that everything needs is broken.
+
+        Where FOLDER is a capture, the capture is checked instead: sharpness, light, masks, calibration, sync
+        and coverage of the person by the cameras, a line for each finding.
         """
-        from stages.doctor.stage import run
+        from stages.doctor.stage import check_folder, is_capture, run
         from stages.shared.errors import MissingInput
 
         console = Console(as_json)
+        if is_capture(folder):
+            findings = check_folder(folder, console)
+            for line in findings:
+                console.warn(line)
+            console.result({"findings": findings} if as_json else {"findings": len(findings)})
+            return
         found = run(folder, console)
         if as_json:
             console.result(dataclasses.asdict(found))

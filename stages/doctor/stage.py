@@ -6,8 +6,11 @@ import platform
 from dataclasses import dataclass
 from pathlib import Path
 
+from stages.doctor.capture_check import check_capture
 from stages.doctor.libraries import CORE, OPTIONAL, Check, try_all, versions
 from stages.doctor.machine import Machine, look
+from stages.shared.capture.open_capture import detect_format, open_capture
+from stages.shared.errors import GwError
 from stages.shared.report import SILENT, Report
 
 _GIB = 1 << 30
@@ -44,6 +47,20 @@ def run(folder: Path, report: Report = SILENT) -> Diagnosis:
     slow, broken = judge(machine, checks, libraries)
     version = versions(("gaussian-wardrobe",))["gaussian-wardrobe"]
     return Diagnosis(version, platform.python_version(), libraries, machine, checks, slow, broken)
+
+
+def is_capture(folder: Path) -> bool:
+    """Whether a folder holds a capture in a layout that can be read."""
+    try:
+        detect_format(folder)
+    except (GwError, OSError):
+        return False
+    return True
+
+
+def check_folder(folder: Path, report: Report = SILENT) -> list[str]:
+    """What is wrong with the capture in a folder; errors as `open_capture`."""
+    return check_capture(open_capture(folder, poses_needed=False), report)
 
 
 def judge(

@@ -23,15 +23,20 @@ def refined_cameras(cameras: Sequence[Camera], pixels: Doubles, visibility: Doub
     """The cameras with poses that make the landmarks agree.
 
     Points and poses are improved in turns. The landmarks say nothing about where the whole rig stands and how
-    large it is, so the centres of the cameras are brought back to where they were by a similarity.
+    large it is, so the centres of the cameras are brought back to where they were by a similarity. The round
+    whose worst camera agrees best is taken; that may be the cameras as they came.
 
     Arguments:
         pixels: (C, T, L, 2). visibility: (C, T, L).
     """
     current = list(cameras)
+    best, least = current, np.inf
     before = np.stack([camera.centre for camera in cameras])
     for _ in range(_ROUNDS):
         result = triangulate(current, pixels, visibility)
+        worst = float(np.nanmax([np.nanmedian(error) for error in result.pixels]))
+        if worst < least:
+            best, least = current, worst
         moved = []
         for number, camera in enumerate(current):
             error = result.pixels[number]
@@ -39,7 +44,7 @@ def refined_cameras(cameras: Sequence[Camera], pixels: Doubles, visibility: Doub
             good &= error < _OUTLIER * np.nanmedian(error)
             moved.append(_posed(camera, result.points[good], pixels[number][good]))
         current = _brought_back(moved, before)
-    return current
+    return best
 
 
 def _posed(camera: Camera, points: Doubles, pixels: Doubles) -> Camera:

@@ -21,6 +21,8 @@ from stages.shared.capture.convention import AS_IS, take_in_convention
 from stages.shared.capture.open_capture import with_poses
 from stages.shared.report import Report
 
+_FITTED_BAR = 0.80
+
 
 def register_capture(source: Source, config: RegisterTemplateConfig, report: Report) -> Registered:
     """Check the alignment and make the template of a capture; fit the body first when that is asked for."""
@@ -38,7 +40,7 @@ def register_capture(source: Source, config: RegisterTemplateConfig, report: Rep
     frame = source.frame if source.frame is not None else choose_frame(body, take.poses, take.frames)
     report.step("projecting the body into the masks")
     checked = {number: posed_body(body, take.poses[number]) for number in frames_checked(take, frame)}
-    alignment = check_alignment(take, checked, body.faces, config.bar)
+    alignment = check_alignment(take, checked, body.faces, alignment_bar(config, source.fits_body))
     if alignment.convention != AS_IS:
         report.warn(f"camera matrices are read with: {alignment.convention}")
         take = take_in_convention(take, alignment.convention)
@@ -81,6 +83,12 @@ def register_capture(source: Source, config: RegisterTemplateConfig, report: Rep
         {"mean_inside": alignment.mean_inside, **numbers},
         fitted,
     )
+
+
+def alignment_bar(config: RegisterTemplateConfig, fitted: bool) -> float:
+    """Least share of the body inside the masks. A fitted body belongs to its cameras, and its masks may be
+    ragged, so less is asked of it than of poses that came with the capture."""
+    return min(config.bar, _FITTED_BAR) if fitted else config.bar
 
 
 def _fit(

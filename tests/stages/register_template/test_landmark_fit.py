@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stages.register_template.config import RegisterTemplateConfig
 from stages.register_template.fitting.bones import State, bones_of
 from stages.register_template.fitting.fit_check import FitCheck, landmark_misfit, wrong_parts
 from stages.register_template.fitting.fit_views import Seen
@@ -19,6 +20,7 @@ from stages.register_template.fitting.landmark_terms import (
     landmark_residuals,
 )
 from stages.register_template.fitting.prior import SHAPE_LIMIT, Prior
+from stages.register_template.from_capture import alignment_bar
 from stages.shared.body import embedded_body
 from stages.shared.body.skeleton import JOINT_INDEX
 from stages.shared.capture.landmarks import Landmarks, read_landmarks
@@ -149,3 +151,9 @@ def test_distances_of_unknown_parts_are_unknown() -> None:
     assert targets.enough(BODY)
     targets.points[11] = np.nan
     assert not targets.enough(BODY)
+
+
+def test_less_is_asked_of_a_fitted_body_than_of_given_poses() -> None:
+    config = RegisterTemplateConfig(bar=0.9)
+    assert alignment_bar(config, fitted=False) == 0.9 > alignment_bar(config, fitted=True)
+    assert alignment_bar(replace(config, bar=0.5), fitted=True) == 0.5

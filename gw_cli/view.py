@@ -42,6 +42,13 @@ def register(app: typer.Typer) -> None:
             bool, typer.Option("--open/--no-open", help="Open the page in the browser.")
         ] = False,
         distilled: Distilled = False,
+        drive: Annotated[
+            str,
+            typer.Option(
+                help="What moves garments: auto | bones | learned | simulated; by layer: "
+                "lower=bones,upper=learned."
+            ),
+        ] = "auto",
         swap: Swap = True,
         dry_run: DryRun = False,
         as_json: Json = False,
@@ -68,7 +75,7 @@ def register(app: typer.Typer) -> None:
         from stages.view.config import ViewConfig
 
         console = Console(as_json)
-        config = ViewConfig(host, port, betas, fps, swap, distilled)
+        config = ViewConfig(host, port, betas, fps, swap, distilled, drive)
         given, motions = list(sources or []), list(poses or [])
         check_sources(given)
         check_poses(motions)

@@ -120,6 +120,9 @@ def _outfits(group: typer.Typer) -> None:
         width: Pixels = None,
         height: Pixels = None,
         most: Annotated[int, typer.Option(min=1, help="Refuse more outfits than this.")] = 256,
+        drive: Annotated[
+            str, typer.Option(help="What moves garments: auto | bones | learned | simulated.")
+        ] = "auto",
         as_json: Json = False,
     ) -> None:
         """Render every body in every set of garments that go together, on one sheet, and look for holes."""
@@ -128,7 +131,7 @@ def _outfits(group: typer.Typer) -> None:
 
         console = Console(as_json)
         base = OutfitsConfig()
-        config = OutfitsConfig(frame, width or base.width, height or base.height, most=most)
+        config = OutfitsConfig(frame, width or base.width, height or base.height, most=most, drive=drive)
         pieces(folder)  # refuses a missing folder
         check_poses([poses])
 

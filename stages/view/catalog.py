@@ -48,12 +48,21 @@ class BundleCatalog:
         self.items: dict[str, Item] = {}
         self.worn: tuple[str, ...] = ()
         self.subject_poses: Poses | None = None
-        self._swap = config.swap
+        self._swap, self._drive = config.swap, config.drive
         self._subject: Outfit | None = None
         self._outfits: OrderedDict[tuple[str, ...], Outfit] = OrderedDict()
+        self._driven: OrderedDict[tuple[tuple[str, ...], bytes, bool], Outfit] = OrderedDict()
 
-    def outfit(self, names: Sequence[str], betas: NDArray[np.float32] | None) -> Outfit:
+    def outfit(
+        self, names: Sequence[str], betas: NDArray[np.float32] | None, trained_poses: bool = False
+    ) -> Outfit:
         """What the named items are together, on a body of shape `betas` (10,), or its own.
+
+        An outfit that was asked for lately is the same object with the same simulation, so that frames that
+        have been simulated are shown at once.
+
+        Arguments:
+            trained_poses: the motion is the one that the garments were learned in.
 
         Raises UsageProblem: an unknown item, no body, two items for one slot. BadData: they do not fit.
         """
@@ -68,7 +77,18 @@ class BundleCatalog:
             while len(self._outfits) > _CACHED_OUTFITS:
                 self._outfits.popitem(last=False)
             made = self._outfits[key]
-        return made if betas is None else replace(made, betas=betas)
+        shaped = made if betas is None else replace(made, betas=betas)
+        known = (
+            shaped.names if self._subject else tuple(sorted(names)),
+            shaped.betas.tobytes(),
+            trained_poses,
+        )
+        if known not in self._driven:
+            self._driven[known] = shaped.driven(self._drive, trained_poses)
+        self._driven.move_to_end(known)
+        while len(self._driven) > _CACHED_OUTFITS:
+            self._driven.popitem(last=False)
+        return self._driven[known]
 
     @property
     def margins(self) -> PenetrationConfig:

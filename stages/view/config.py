@@ -16,6 +16,7 @@ class ViewConfig:
         fps: resample motions to this rate; 0 keeps their own.
         swap: beneath a garment, give the body the form of the garment's own source.
         distilled: of a subject, show the blendshapes of `gw distill` instead of the networks.
+        drive: what moves garments, as in `gw render`.
         width, height: of the first view, pixels; they decide how far away the camera stands.
     """
 
@@ -25,5 +26,6 @@ class ViewConfig:
     fps: float = 0.0
     swap: bool = True
     distilled: bool = False
+    drive: str = "auto"
     width: int = 480
     height: int = 640

@@ -68,7 +68,7 @@ class ViewerSession:
         self.catalog, self.motions, self._size = catalog, list(motions), size
         self._lock = threading.Lock()
         self._grounded: OrderedDict[tuple[int, bytes], Poses] = OrderedDict()
-        self._poser: tuple[tuple[Any, ...], CachedPoser] | None = None
+        self._poser: CachedPoser | None = None
 
     def described(self, betas: str) -> dict[str, Any]:
         """Everything that the page needs to start. betas: of the first view."""
@@ -151,10 +151,9 @@ class ViewerSession:
     def _prepared(self, request: FrameRequest, cached: bool = True) -> tuple[CachedPoser, Poses]:
         """A poser of the outfit; with `cached` the last one, whose Gaussians the next call overwrites."""
         outfit, poses = self._requested(request)
-        key = (tuple(sorted(request.wear)), outfit.betas.tobytes())
-        if self._poser is None or self._poser[0] != key:
-            self._poser = (key, CachedPoser(outfit))
-        poser = self._poser[1]
+        if self._poser is None or self._poser.outfit is not outfit:
+            self._poser = CachedPoser(outfit)
+        poser = self._poser
         return (poser if cached else CachedPoser(outfit, share_with=poser)), poses
 
     def _requested(self, request: FrameRequest) -> tuple[Outfit, Poses]:
@@ -163,7 +162,8 @@ class ViewerSession:
         poses = self.motions[request.motion][1]
         if not 0 <= request.row < len(poses):
             raise UsageProblem(f"There is no frame {request.row}.", "row", f"Choose 0 to {len(poses) - 1}.")
-        outfit = self.catalog.outfit(request.wear, parse_betas(request.betas))
+        trained = poses is self.catalog.subject_poses
+        outfit = self.catalog.outfit(request.wear, parse_betas(request.betas), trained)
         return outfit, self._grounded_motion(request.motion, outfit)
 
     def _grounded_motion(self, motion: int, outfit: Outfit) -> Poses:

@@ -14,6 +14,7 @@ class OutfitsConfig:
         azimuths: degrees from the front, one picture each.
         columns: outfits in a row of the sheet.
         most: outfits that are shown at most.
+        drive: what moves garments, as in `gw render`.
     """
 
     frame: int = -1
@@ -22,3 +23,4 @@ class OutfitsConfig:
     azimuths: tuple[float, ...] = (0.0, 180.0)
     columns: int = 6
     most: int = 256
+    drive: str = "auto"

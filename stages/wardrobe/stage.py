@@ -82,7 +82,7 @@ def run(
     for index, worn in enumerate(outfits):
         for piece in worn:
             bundles.setdefault(piece.name, read_bundle(piece.path))
-        outfit = outfit_of_bundles([(piece.name, bundles[piece.name]) for piece in worn])
+        outfit = outfit_of_bundles([(piece.name, bundles[piece.name]) for piece in worn]).driven(config.drive)
         shots = _shots(outfit, poses_path, config)
         cells.append(np.hstack([shot.on(_PAPER) for shot in shots]))
         captions.append(" ".join(piece.name for piece in worn))

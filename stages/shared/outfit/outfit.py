@@ -88,7 +88,12 @@ class Outfit:
         """All layers in the pose of a row of `poses`, in the world. Its betas are not used."""
         pose = pose_at(self.body_model, poses, frame, self.betas)
         posed: dict[str, PosedGaussians] = {}
-        corrections = {push.garment: push for push in self.corrections}
+        # Simulated garments collide with the body themselves.
+        corrections = {
+            push.garment: push
+            for push in self.corrections
+            if self.drivers.get(push.garment, LEARNED).kind != "simulated"
+        }
         for layer in self.layers:
             driver = self.driver(layer)
             residual = driver.residual

@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 
 from stages.shared.artifacts.bundle import Bundle
 from stages.shared.body import BodyModel, canonical_from_rest, shaped_joints
+from stages.shared.cloth.pattern import ClothPattern
 from stages.shared.outfit.layer import WornLayer
 
 _NEAREST = 8
@@ -59,4 +60,26 @@ def retarget_garment(
         shape_directions=(body.maps.shape_directions[near] * weights[..., None, None]).sum(dim=1),
         centre=body.maps.centre,  # each grid is centred on its body: texels then mean the same places
     )
-    return replace(garment, maps=new, beneath=None)
+    return replace(garment, maps=new, beneath=None, cloth=_retarget_cloth(garment.cloth, shift, body))
+
+
+def _retarget_cloth(cloth: ClothPattern | None, shift: torch.Tensor, body: WornLayer) -> ClothPattern | None:
+    """The simulation mesh for the wearer's body model, in the same way as the maps; its size stays.
+
+    Arguments:
+        shift: (55, 3) m, how far the canonical joints move.
+    """
+    if cloth is None:
+        return None
+    vertices = cloth.vertices + cloth.skin_weights @ shift.numpy()
+    distance, nearest = cKDTree(body.maps.positions.numpy()).query(vertices, k=_NEAREST)
+    weights = 1 / np.maximum(distance, _LEAST_DISTANCE)
+    weights = (weights / weights.sum(axis=1, keepdims=True)).astype(np.float32)
+    skin = body.maps.skin_weights.numpy()[nearest]
+    directions = body.maps.shape_directions.numpy()[nearest]
+    return replace(
+        cloth,
+        vertices=vertices.astype(np.float32),
+        skin_weights=(skin * weights[..., None]).sum(axis=1),
+        shape_directions=(directions * weights[..., None, None]).sum(axis=1),
+    )

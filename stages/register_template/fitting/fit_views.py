@@ -14,7 +14,12 @@ import numpy as np
 from stages.register_template.fitting.bones import State, SurfacePoints, bones_of, vertices_of
 from stages.register_template.fitting.contours import View
 from stages.register_template.fitting.fit_scan import ALL_BETAS, BODY_JOINTS, LEVELS, Level, fit_scan
-from stages.register_template.fitting.landmark_terms import Targets, first_state, landmark_residuals
+from stages.register_template.fitting.landmark_terms import (
+    Targets,
+    first_state,
+    landmark_distances,
+    landmark_residuals,
+)
 from stages.register_template.fitting.prior import Prior
 from stages.register_template.fitting.scan_terms import (
     ScanPoints,
@@ -37,6 +42,7 @@ _TRACK = ((0.08, 4, 0.2), (0.03, 5, 0.05))
 _SCAN_ROUND = LEVELS[-2]
 _NEAR_SPREAD = np.radians(20.0)  # that a joint turns between two frames
 _MISFIT_M = 0.10
+_LOST_PART_M = 0.10
 # Errors of masks are alike in all points of a contour: a view tells less about the shape than its points do.
 _SHAPE_WEIGHT = 15.0
 _NO_BETAS = np.arange(0)
@@ -82,9 +88,28 @@ def track(
             guess.translation = guess.translation + 0.5 * (before.translation - earlier.translation)
         prior = Prior(near=before.rotations, near_spread=np.full(JOINT_COUNT, _NEAR_SPREAD))
         found[frame] = refine(body, guess, [seen[frame]], _TRACK, 1.0, shape=False, prior=prior)
+        found[frame] = _found_again(body, found[frame], seen[frame])
         before, earlier = found[frame], before
         report.progress(number + 1, len(frames))
     return found
+
+
+def _found_again(body: BodyModel, state: State, seen: Seen) -> State:
+    """The tracked frame, or one that begins at its landmarks where tracking lost a part of the body."""
+    targets = seen.landmarks
+    if targets is None or not targets.enough(body):
+        return state
+    lost = _farthest_part(body, state, targets)
+    if lost <= _LOST_PART_M:
+        return state
+    again = first_state(body, targets, state.betas)
+    again = refine(body, again, [seen], _TRACK[1:], 1.0, shape=False)
+    return again if _farthest_part(body, again, targets) < lost else state
+
+
+def _farthest_part(body: BodyModel, state: State, targets: Targets) -> float:
+    """Metres between landmarks and the part of the body that is farthest from them."""
+    return float(np.nanmax(list(landmark_distances(body, state, 0, targets).values())))
 
 
 def refine(

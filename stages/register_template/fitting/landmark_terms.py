@@ -40,7 +40,7 @@ _MEASUREMENTS = 75.0  # that the landmarks are worth for every view, as the cont
 _ROBUST_M = 0.12
 _FIRST_ROUNDS = ((1.0, 12), (0.3, 12), (_ROBUST_M, 8))
 _BODY = np.arange(22)
-_FIRST_BETAS = np.arange(2)
+_FIRST_BETAS, _NO_BETAS = np.arange(2), np.arange(0)
 _POINTS: dict[str, tuple[NDArray[np.intp], SurfacePoints, Doubles]] = {}
 CHECKED = {
     "head": (_NOSE, _LEFT_EAR, _RIGHT_EAR),
@@ -93,8 +93,10 @@ def landmark_residuals(body: BodyModel, state: State, frame: int, targets: Targe
     return _residuals(body, state, frame, targets, _ROBUST_M, _MEASUREMENTS * views)
 
 
-def first_state(body: BodyModel, targets: Targets) -> State:
-    """One frame of parameters from landmarks alone, coarse to fine; the betas stay near the mean.
+def first_state(body: BodyModel, targets: Targets, betas: Doubles | None = None) -> State:
+    """One frame of parameters from landmarks alone, coarse to fine.
+
+    Without `betas` (10,) the first two are found, too; the others stay at the mean.
 
     The trunk's axes (from hip to hip and from hips to shoulders) give the root's rotation.
     """
@@ -107,10 +109,11 @@ def first_state(body: BodyModel, targets: Targets) -> State:
     turn = np.stack([x, np.cross(z, x), z], axis=1)
     rotations = np.zeros((1, JOINT_COUNT, 3))
     rotations[0, 0] = Rotation.from_matrix(turn).as_rotvec()
-    state = State(rotations, np.zeros((1, 3)), np.zeros(SHAPE_COUNT))
+    shape = np.zeros(SHAPE_COUNT) if betas is None else np.array(betas, np.float64)
+    state = State(rotations, np.zeros((1, 3)), shape)
     hips = [JOINT_INDEX["left_hip"], JOINT_INDEX["right_hip"]]
     state.translation[0] = points[[23, 24]].mean(axis=0) - bones_of(body, state).joints[hips].mean(axis=0)
-    free, prior = Free(_BODY, _FIRST_BETAS), Prior()
+    free, prior = Free(_BODY, _FIRST_BETAS if betas is None else _NO_BETAS), Prior()
     for robust, steps in _FIRST_ROUNDS:
         for _ in range(steps):
             terms = [_residuals(body, state, 0, targets, robust, _MEASUREMENTS)]

@@ -18,9 +18,10 @@ from stages.train import checkpoint, schedule
 from stages.train.checkpoint import METRICS_NAME, RunState
 from stages.train.config import TrainConfig
 from stages.train.monitor import IntervalCallback, preview, preview_views
+from stages.train.step_report import StepReport
 from stages.train.tensorboard import TensorBoardLogger
 from stages.train.tracking.tracker import Interrupted, Tracker
-from stages.train.trainer import StepReport, Trainer
+from stages.train.trainer import Trainer
 
 _CHECKPOINT_SECONDS = 60.0
 _PREVIEW_SECONDS = 120.0

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -36,6 +34,7 @@ from stages.train.observation import fill_unobserved, observed_texels
 from stages.train.optimizer import adam, named_parameters
 from stages.train.pretrained import PretrainedLayers, motion_for
 from stages.train.random_crop import RandomCrop
+from stages.train.step_report import StepClock, StepReport
 from stages.train.tracking.tracker import Checkpoint, Tracker
 from stages.train.tracking.warm_up import warm_up
 from stages.train.views import StepChoice, TrainingViews, ViewKey, choose
@@ -43,25 +42,6 @@ from stages.train.views import StepChoice, TrainingViews, ViewKey, choose
 _LATER_KINDS = ("quaternion", "opacity", "scale", "color")  # free attributes that wait for full-size pictures
 _EYE_NOISE = 0.1  # m, keeps colours from memorising the training cameras' directions
 _OFFSETS = torch.tensor([1.0] * 3 + [0.0] * 11)
-
-
-@dataclass
-class StepReport:
-    """Figures of one step.
-
-    Attributes:
-        step, frame, cameras: what the step saw. finite: False when the step was skipped.
-        terms: unweighted losses, `total` weighted. gradient_norm: before clipping.
-        seconds: "data", "network", "splat" (pictures with their losses), "surface", "optimiser".
-    """
-
-    step: int
-    frame: int
-    cameras: tuple[str, ...]
-    finite: bool
-    terms: dict[str, float]
-    gradient_norm: float
-    seconds: dict[str, float]
 
 
 class Trainer:
@@ -180,7 +160,7 @@ class Trainer:
         self.views.prefetcher.schedule(
             [*self._view_keys(number, elapsed), *self._view_keys(number + 1, elapsed)]
         )
-        clock = _Clock()
+        clock = StepClock()
         coarse = schedule.is_coarse(self.config, done)
         self.optimizer.zero_grad(set_to_none=True)
         terms = self._gradients(choice, weights, schedule.image_scale(self.config, done), coarse, clock)
@@ -216,7 +196,7 @@ class Trainer:
         return posed
 
     def _gradients(
-        self, choice: StepChoice, weights: LossWeights, scale: float, coarse: bool, clock: _Clock
+        self, choice: StepChoice, weights: LossWeights, scale: float, coarse: bool, clock: StepClock
     ) -> dict[str, float]:
         """Accumulate the gradients of a step; returns its terms, `total` NaN where something was not finite.
 
@@ -333,19 +313,6 @@ class Trainer:
             pose = pose_at(self.views.body, self.views.poses, frame, motion=motion)
             self._poses[frame] = pose.to(self.device)
         return self._poses[frame]
-
-
-class _Clock:
-    """Adds up seconds by name: `with clock("data"): …`."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-
-    @contextmanager
-    def __call__(self, name: str) -> Iterator[None]:
-        started = time.perf_counter()
-        yield
-        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - started
 
 
 def _sum(terms: dict[str, Tensor], weights: LossWeights, share: float, sums: dict[str, float]) -> Tensor:

@@ -110,7 +110,7 @@ def _cameras() -> bytes:
         "intrinsics": [[5, 0, 4], [0, 5, 3], [0, 0, 1]],
         "camera_from_world": np.eye(4).tolist(),
     }
-    return json.dumps({"cameras": [camera], "heldout": []}).encode()
+    return json.dumps({"cameras": [camera]}).encode()
 
 
 def _calibration() -> bytes:

@@ -84,7 +84,6 @@ SPOILED: dict[str, tuple[Callable[[Path], None], int, str]] = {
     "NaN poses": (nan_poses, 65, "transl"),
     "160 columns": (wrong_columns, 65, "160"),
     "truncated mask": (truncated_mask, 65, "masks/cam1/00000"),
-    "empty mask": (empty_masks, 65, "masks/cam1/00000"),
     "missing camera": (missing_camera, 66, "cam2"),
     "poses that do not fit": (moved_person, 65, "as is"),
     "pickled body": (pickled_body, 65, "body_model.npz"),
@@ -102,12 +101,31 @@ def test_spoiled_capture(person: Path, tmp_path: Path, name: str) -> None:
     assert not artifacts(tmp_path / "subject")
 
 
-def test_labels_with_unknown_ids_stop_the_stage_that_reads_them(person: Path, tmp_path: Path) -> None:
+def test_a_person_who_leaves_a_view_costs_that_view(person: Path, tmp_path: Path) -> None:
+    root = scene.copy(person, tmp_path / "capture")
+    empty_masks(root)
+    code, lines = run("register-template", root, "-o", tmp_path / "subject", "--template", "body")
+    assert code == 0, lines
+    (warning,) = [line for line in lines if "nobody is seen by" in line]
+    assert "cam1, frame 0" in warning and "cam1, frame 1" in warning
+
+
+def test_labels_with_unknown_ids_stop_the_first_stage_that_reads_them(person: Path, tmp_path: Path) -> None:
     root, subject = scene.copy(person, tmp_path / "capture"), tmp_path / "subject"
     for path in (root / WALK / "labels").rglob("*.png"):
         cv2.imwrite(str(path), np.full((SIDE, SIDE), 77, np.uint8))
     assert 77 not in LABELS
+    code, lines = run("register-template", root, "-o", subject, "--template", "body", "--preset", "tiny")
+    assert code == 65, lines
+    expect_three_lines(lines, "labels/cam")
+    assert "77" in "".join(lines[-3:]) and not artifacts(subject)
+
+
+def test_labels_spoiled_later_stop_the_segmentation(person: Path, tmp_path: Path) -> None:
+    root, subject = scene.copy(person, tmp_path / "capture"), tmp_path / "subject"
     assert run("register-template", root, "-o", subject, "--template", "body", "--preset", "tiny")[0] == 0
+    for path in (root / WALK / "labels").rglob("*.png"):
+        cv2.imwrite(str(path), np.full((SIDE, SIDE), 77, np.uint8))
     assert run("canonicalize", subject, "--preset", "tiny")[0] == 0
     before = artifacts(subject)
     code, lines = run("segment-layers", subject, "--preset", "tiny")

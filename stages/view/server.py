@@ -42,7 +42,7 @@ Answer = tuple[str, bytes | Iterator[bytes]]  # content type, and the content or
 _BINARY = "application/octet-stream"
 _LONGEST_REQUEST = 64 << 10
 _TIMEOUT = 30  # s, for a client that says nothing
-_MOST_STREAMS = 4
+MOST_STREAMS = 4
 _NOT_FOUND = ("There is nothing here.", "")
 _POLICY = (
     "default-src 'none'; script-src 'unsafe-inline'; worker-src blob:; style-src 'unsafe-inline'; "
@@ -62,7 +62,7 @@ class Viewer(ThreadingHTTPServer):
     def __init__(self, host: str, port: int, session: ViewerSession, betas: str = "") -> None:
         self.session, self.betas = session, betas
         self.token = "" if _is_this_machine(host) else secrets.token_urlsafe(18)
-        self.streams = threading.BoundedSemaphore(_MOST_STREAMS)
+        self.streams = threading.BoundedSemaphore(MOST_STREAMS)
         if ":" in host:
             self.address_family = socket.AF_INET6
         try:

@@ -27,6 +27,7 @@ from stages.shared.meshes import RayScene, edges, face_normals
 
 WAIST_BAND = 0.03  # metres around the upper rim of a skirt or of trousers that follow the body
 COLLAR_BAND = 0.06  # metres below the top of a jacket, at its back
+_SHORTEST = 1e-3  # m, of a rest length; shorter edges would make the springs of their triangles explode
 _DEEPEST = -0.05  # metres that a template may lie inside the body
 _VERTEX_AREA = 0.866  # of the squared edge length: a vertex's share of an equilateral mesh
 
@@ -61,7 +62,7 @@ def build_pattern(
     pattern = ClothPattern(
         vertices=attributes["vertices"],
         rest_vertices=rest.astype(np.float32),
-        rest_lengths=np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).astype(np.float32),
+        rest_lengths=_not_too_short(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)),
         faces=faces,
         pinned=pins(name, rest, faces, joints).astype(np.int32),
         skin_margin=margins.astype(np.float32),
@@ -80,7 +81,7 @@ def with_material(pattern: ClothPattern, material: Material, body: BodyModel, po
     """The pattern of another material, with rest lengths in balance where the material asks for them."""
     ends = pattern.rest_vertices.astype(np.float64)[edges(pattern.faces)]
     lengths = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
-    pattern = replace(pattern, material=material, rest_lengths=lengths.astype(np.float32))
+    pattern = replace(pattern, material=material, rest_lengths=_not_too_short(lengths))
     if not material.balanced:
         return pattern
     collider = BodyCollider(body, pose.betas, material.skin_friction)
@@ -90,7 +91,12 @@ def with_material(pattern: ClothPattern, material: Material, body: BodyModel, po
     # Constraints are sorted by colour; the pattern keeps edges in the order of `meshes.edges`.
     pairs = np.sort(one.constraints.edges, axis=1)
     order = np.lexsort((pairs[:, 1], pairs[:, 0]))
-    return replace(pattern, rest_lengths=rest[order].astype(np.float32))
+    return replace(pattern, rest_lengths=_not_too_short(rest[order]))
+
+
+def _not_too_short(lengths: NDArray[np.float64]) -> NDArray[np.float32]:
+    """(E,) rest lengths of at least `_SHORTEST`: remeshing leaves a few edges of almost no length."""
+    return np.maximum(lengths, _SHORTEST).astype(np.float32)
 
 
 def pins(name: str, rest: NDArray, faces: NDArray, joints: NDArray) -> NDArray[np.bool_]:

@@ -10,6 +10,7 @@ import json
 import shutil
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -63,6 +64,7 @@ def test_every_block_is_of_a_kind_that_is_tested() -> None:
         ("formats.md", ""),
         ("formats.md", "json"),
         ("rendering.md", "json"),
+        ("python-api.md", "python"),
         ("scale.md", "yaml"),
         ("splatting.md", "python"),
     }
@@ -197,3 +199,15 @@ def test_the_program_that_is_shown_runs() -> None:
     exec(compile(program, "docs/splatting.md", "exec"), names)
     assert names["picture"].features.shape == (256, 256, 3)  # type: ignore[attr-defined]
     assert 0.5 < float(names["picture"].alpha.max()) < 1  # type: ignore[attr-defined]
+
+
+def test_a_bundle_is_opened_posed_and_rendered_from_python(
+    dressed_subject: Path, wardrobe: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (program,) = [block.text for block in blocks(DOCS / "python-api.md") if block.kind == "python"]
+    furnish(tmp_path, dressed_subject, dressed_subject.parent / "capture", wardrobe, motion())
+    monkeypatch.chdir(tmp_path)
+    exec(compile(program, "docs/python-api.md", "exec"), {})
+    picture = cv2.imread("frame.png")
+    assert picture is not None and picture.shape == (320, 240, 3)
+    assert 0.02 < (picture.min(axis=2) < 250).mean() < 0.9, "a person before white"

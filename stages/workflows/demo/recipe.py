@@ -109,7 +109,7 @@ def _learn(subject: str, config: DemoConfig) -> list[DemoStep]:
             "fit-cloth",
             "Every garment gets a simulation mesh and a material; the best driver in left-out parts becomes "
             "its default.",
-            (subject, *preset),
+            (subject, *preset, "--materials", "tight,full_skirt"),
             "*.png",
         ),
     ]

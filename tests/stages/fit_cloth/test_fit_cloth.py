@@ -9,11 +9,13 @@ import pytest
 
 from stages.fit_cloth import stage
 from stages.fit_cloth.config import FitClothConfig
-from stages.fit_cloth.mesh import pins
+from stages.fit_cloth.mesh import pins, with_material
 from stages.fit_cloth.openings import close_holes, highest_rim, rims
 from stages.fit_cloth.outlines import Outlines, OutlineView, draw
 from stages.shared.artifacts import Workspace
 from stages.shared.body import embedded_body
+from stages.shared.cloth.material import TIGHT
+from stages.shared.cloth.pattern import ClothPattern
 from stages.shared.errors import UsageProblem
 from stages.shared.outfit.cloth_fit import fitted_cloth
 from stages.shared.outfit.trained_subject import TrainedSubject
@@ -92,3 +94,21 @@ def test_the_stage_fits_every_garment_and_the_subject_uses_it(tmp_path: Path) ->
 def test_an_unknown_material_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageProblem, match="velvet"):
         stage.run(tmp_path, FitClothConfig(materials=("velvet",)))
+
+
+def test_an_edge_of_almost_no_length_gets_a_rest_length_that_bundles_allow() -> None:
+    """Remeshing may leave two vertices in nearly the same place."""
+    corners = np.array([[0, 0, 0], [1e-6, 0, 0], [0.03, 0, 0], [0, 0.03, 0]], np.float32)
+    faces = np.array([[0, 2, 3], [0, 1, 2]], np.int32)
+    nothing = np.zeros((4, 3), np.float32)
+    pattern = ClothPattern(
+        vertices=corners, rest_vertices=corners, rest_lengths=np.zeros(5, np.float32), faces=faces,
+        pinned=np.zeros(4, np.int32), skin_margin=np.zeros(4, np.float32),
+        skin_weights=np.zeros((4, 55), np.float32), shape_directions=np.zeros((4, 10, 3), np.float32),
+        pose=np.zeros((55, 3), np.float32), texel_faces=np.zeros(4, np.int32),
+        texel_weights=nothing, texel_offsets=nothing, material=TIGHT,
+    )  # fmt: skip
+    fitted = with_material(pattern, TIGHT, None, None)  # type: ignore[arg-type]  # a body is for balance alone
+    lengths = np.sort(fitted.rest_lengths)
+    assert lengths[0] == np.float32(1e-3)
+    np.testing.assert_allclose(lengths[1:], np.sort([0.03, 0.03, 0.03 - 1e-6, 0.03 * 2**0.5]), rtol=1e-5)

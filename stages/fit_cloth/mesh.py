@@ -23,10 +23,11 @@ from stages.shared.cloth.remeshing import simulation_mesh
 from stages.shared.cloth.riding import ride
 from stages.shared.cloth.simulator import SKIN_MARGIN
 from stages.shared.cloth.surface import moving, template_margins
-from stages.shared.meshes import RayScene, edges, face_normals
+from stages.shared.meshes import RayScene, components, edges, face_normals, keep_faces
 
 WAIST_BAND = 0.03  # metres around the upper rim of a skirt or of trousers that follow the body
 COLLAR_BAND = 0.06  # metres below the top of a jacket, at its back
+_ISLAND = 0.05  # of the vertices of a simulation mesh
 _SHORTEST = 1e-3  # m, of a rest length; shorter edges would make the springs of their triangles explode
 _DEEPEST = -0.05  # metres that a template may lie inside the body
 _VERTEX_AREA = 0.866  # of the squared edge length: a vertex's share of an equilateral mesh
@@ -52,6 +53,7 @@ def build_pattern(
     joints = _joints(body, pose)
     whole = close_holes(layer["world_vertices"].astype(np.float64), layer["faces"], joints)
     rest, faces = simulation_mesh(*whole, edge)
+    rest, faces = without_loose_pieces(rest, faces, pins(name, rest, faces, joints))
     attributes = _from_layer(layer, rest)
     collider = BodyCollider(body, pose.betas, material.skin_friction)
     at = collider.vertices(pose.rotations[0], pose.translation[0])
@@ -97,6 +99,22 @@ def with_material(pattern: ClothPattern, material: Material, body: BodyModel, po
 def _not_too_short(lengths: NDArray[np.float64]) -> NDArray[np.float32]:
     """(E,) rest lengths of at least `_SHORTEST`: remeshing leaves a few edges of almost no length."""
     return np.maximum(lengths, _SHORTEST).astype(np.float32)
+
+
+def without_loose_pieces(
+    vertices: NDArray, faces: NDArray, pinned: NDArray[np.bool_]
+) -> tuple[NDArray, NDArray]:
+    """The mesh without pieces that nothing would hold up: they would fall out of the picture.
+
+    Those are pieces of less than `_ISLAND` of the vertices, and of a garment with pins those without one.
+    Texels of such a piece ride on the nearest triangle of the rest.
+    """
+    piece = components(faces, len(vertices))
+    held = np.bincount(piece) >= _ISLAND * len(vertices)
+    if pinned.any():
+        held &= np.bincount(piece, pinned) > 0
+    kept, used = keep_faces(faces, held[piece[faces[:, 0]]], len(vertices))
+    return vertices[used], kept
 
 
 def pins(name: str, rest: NDArray, faces: NDArray, joints: NDArray) -> NDArray[np.bool_]:

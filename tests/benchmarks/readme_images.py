@@ -1,4 +1,4 @@
-"""The pictures of the README, from a finished demo: the try-on as an animated WebP, and the sheet of outfits.
+"""The pictures of the README, from a finished demo: both films as an animated WebP, and the sheet of outfits.
 
 python -m tests.benchmarks.readme_images DEMO -o docs/images
 """
@@ -48,7 +48,11 @@ def main(
 ) -> None:
     """Write tryon.webp and demo_outfits.jpg."""
     console = Console(False)
-    frames = list(film_frames(demo / "tryon" / "tryon.mp4", HEIGHT, EVERY))
+    frames = [
+        frame
+        for part in ("tryon", "tryon_changed")
+        for frame in film_frames(demo / part / "tryon.mp4", HEIGHT, EVERY)
+    ]
     write_animation(output / "tryon.webp", frames, round(1000 * EVERY / 30))
     sheet = cv2.imread(str(demo / "outfits" / "outfits.png"))
     if sheet is None:

@@ -9,7 +9,7 @@ import pytest
 
 from stages.fit_cloth import stage
 from stages.fit_cloth.config import FitClothConfig
-from stages.fit_cloth.mesh import pins, with_material
+from stages.fit_cloth.mesh import pins, with_material, without_loose_pieces
 from stages.fit_cloth.openings import close_holes, highest_rim, rims
 from stages.fit_cloth.outlines import Outlines, OutlineView, draw
 from stages.shared.artifacts import Workspace
@@ -112,3 +112,23 @@ def test_an_edge_of_almost_no_length_gets_a_rest_length_that_bundles_allow() -> 
     lengths = np.sort(fitted.rest_lengths)
     assert lengths[0] == np.float32(1e-3)
     np.testing.assert_allclose(lengths[1:], np.sort([0.03, 0.03, 0.03 - 1e-6, 0.03 * 2**0.5]), rtol=1e-5)
+
+
+def test_a_loose_piece_is_left_out_and_large_pieces_stay() -> None:
+    """A scrap of cloth that hangs on nothing would fall out of the picture."""
+    row = np.arange(30)
+    strip = np.concatenate(
+        [np.stack([row, np.zeros(30), np.zeros(30)], 1), np.stack([row, np.ones(30), np.zeros(30)], 1)]
+    )
+    first = np.arange(29)
+    faces = np.concatenate(
+        [np.stack([first, first + 1, first + 30], 1), np.stack([first + 1, first + 31, first + 30], 1)]
+    )
+    scrap = np.array([[0.0, -5, 0], [1, -5, 0], [0, -6, 0]])
+    vertices = np.concatenate([scrap, strip, strip + [0, 9, 0]])
+    triangles = np.concatenate([[[0, 1, 2]], faces + 3, faces + 63])
+    kept, kept_faces = without_loose_pieces(vertices, triangles, np.zeros(len(vertices), bool))
+    np.testing.assert_array_equal(kept, vertices[3:])
+    np.testing.assert_array_equal(kept_faces, triangles[1:] - 3)
+    pinned = np.arange(len(vertices)) == 4  # in the first strip: the second one would fall
+    assert len(without_loose_pieces(vertices, triangles, pinned)[0]) == 60

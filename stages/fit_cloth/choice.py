@@ -20,6 +20,7 @@ from stages.shared.cloth.material import Material
 from stages.shared.cloth.pattern import ClothPattern
 from stages.shared.cloth.riding import averaging, ridden
 from stages.shared.errors import BadData
+from stages.shared.meshes import components
 from stages.shared.outfit.simulation import OutfitSimulation
 
 Doubles = NDArray[np.float64]
@@ -130,7 +131,7 @@ def fit_garment(
     learned = learned_places(tracked)
     if learned is not None:
         drivers["learned"] = _of(take, learned)
-    drive = min(drivers, key=lambda driver: drivers[driver].score)
+    drive = default_driver(drivers, chosen.faces, len(chosen.vertices))
     return FittedGarment(chosen, label, use, drivers, trials, drive)
 
 
@@ -181,3 +182,10 @@ def _residual(
         correction = others[int(tracked.part_of[row])]
         corrected.append(places + RESIDUAL_SHARE * np.einsum("nij,nj->ni", frames, correction))
     return mean(np.ones(len(parts), dtype=bool)), corrected
+
+
+def default_driver(drivers: dict[str, Agreement], faces: NDArray[np.int32], vertices: int) -> str:
+    """The best driver; never simulation of a mesh in several pieces, since nothing ties them together."""
+    pieces = int(components(faces, vertices).max(initial=0)) + 1
+    possible = [driver for driver in drivers if driver != "simulated" or pieces == 1]
+    return min(possible, key=lambda driver: drivers[driver].score)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from stages.fit_cloth import stage
+from stages.fit_cloth.choice import Agreement, default_driver
 from stages.fit_cloth.config import FitClothConfig
 from stages.fit_cloth.mesh import pins, with_material, without_loose_pieces
 from stages.fit_cloth.openings import close_holes, highest_rim, rims
@@ -132,3 +133,15 @@ def test_a_loose_piece_is_left_out_and_large_pieces_stay() -> None:
     np.testing.assert_array_equal(kept_faces, triangles[1:] - 3)
     pinned = np.arange(len(vertices)) == 4  # in the first strip: the second one would fall
     assert len(without_loose_pieces(vertices, triangles, pinned)[0]) == 60
+
+
+def test_a_mesh_in_pieces_is_not_simulated_by_default() -> None:
+    drivers = {
+        "bones": Agreement(0.02, 0.2),
+        "simulated": Agreement(0.01, 0.1),
+        "learned": Agreement(0.02, 0.15),
+    }
+    one = np.array([[0, 1, 2], [1, 3, 2]], np.int32)
+    two = np.array([[0, 1, 2], [3, 4, 5]], np.int32)
+    assert default_driver(drivers, one, 4) == "simulated"
+    assert default_driver(drivers, two, 6) == "learned"

@@ -261,8 +261,8 @@ def test_recordings_and_cameras_find_each_other() -> None:
     def named(*names: str) -> list[Recording]:
         return [Recording(name, one.video, (), one.times) for name in names]
 
-    assigned, notes = by_camera(named("WD2_5_00020", "WD2_10_00020"), ["5", "10", "11"])
-    assert assigned["5"].name == "WD2_5_00020" and assigned["10"].name == "WD2_10_00020"
+    assigned, notes = by_camera(named("shot_5_00020", "shot_10_00020"), ["5", "10", "11"])
+    assert assigned["5"].name == "shot_5_00020" and assigned["10"].name == "shot_10_00020"
     assert notes == ["cameras without a recording are left out: 11"]
     assigned, notes = by_camera(named("front", "rear"), ["1", "2"])
     assert assigned["1"].name == "front" and "alphabetical" in notes[0]

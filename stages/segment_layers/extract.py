@@ -14,7 +14,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
-from stages.segment_layers.regions import mesh_edges
+from stages.shared.meshes.regions import mesh_edges
 
 
 @dataclass(frozen=True)

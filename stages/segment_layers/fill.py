@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-from stages.segment_layers.regions import mesh_edges
 from stages.shared.fields.diffusion import conjugate_gradient
+from stages.shared.meshes.regions import mesh_edges
 
 _HOLD = 30.0  # how firmly a fully trusted colour holds against its neighbours
 _SCREEN = 1e-4  # pull of the middle colour far away from everything seen

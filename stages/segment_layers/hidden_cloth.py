@@ -14,9 +14,9 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from stages.segment_layers.regions import mesh_edges
 from stages.shared.fields.diffusion import conjugate_gradient
 from stages.shared.meshes.raycast import RayScene
+from stages.shared.meshes.regions import mesh_edges
 from stages.shared.meshes.topology import vertex_normals
 
 _CLEARANCE = 0.002  # m, least distance to the body

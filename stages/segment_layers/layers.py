@@ -10,7 +10,6 @@ from scipy.spatial import cKDTree
 from stages.segment_layers.config import SegmentLayersConfig
 from stages.segment_layers.extract import LayerPart, extract_part, faces_beneath, join, sink
 from stages.segment_layers.hidden_cloth import BodySurface, lower_onto_body
-from stages.segment_layers.regions import face_labels, outward_faces
 from stages.shared.body.model import BodyModel
 from stages.shared.body.posed import posed_body
 from stages.shared.body.poses import Poses
@@ -25,6 +24,7 @@ from stages.shared.layers import (
     label_of,
 )
 from stages.shared.meshes import keep_faces
+from stages.shared.meshes.regions import face_labels, outward_faces
 from stages.shared.meshes.topology import vertex_normals
 
 UPPER, OUTER = label_of("upper"), label_of("outer")

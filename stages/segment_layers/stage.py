@@ -26,9 +26,7 @@ from stages.pipeline import CANONICALIZE, REGISTER_TEMPLATE, SEGMENT_LAYERS
 from stages.segment_layers.config import SegmentLayersConfig
 from stages.segment_layers.extract import join
 from stages.segment_layers.fill import fill_colors
-from stages.segment_layers.labelling import known_labels, label_vertices, tidy_labels
 from stages.segment_layers.layers import Template, body_layer, body_surface, garment_layer, slots_of
-from stages.segment_layers.regions import vertex_areas
 from stages.shared.artifacts import Artifact, ExternalFiles, Workspace
 from stages.shared.artifacts.result import StageResult
 from stages.shared.body.model import BodyModel
@@ -38,8 +36,10 @@ from stages.shared.capture.projection import project_labels
 from stages.shared.capture.template_views import frame_files, template_take
 from stages.shared.errors import MissingInput
 from stages.shared.layers import BODY, GARMENT_LABELS, LABELS, LAYER_OF_LABEL, NO_LABEL, label_legend
+from stages.shared.meshes.labelling import known_labels, label_vertices, tidy_labels
 from stages.shared.meshes.picture import two_sided_picture
 from stages.shared.meshes.raycast import RayScene
+from stages.shared.meshes.regions import vertex_areas
 from stages.shared.meshes.topology import vertex_normals
 from stages.shared.plan import Plan
 from stages.shared.poses.read import load_poses

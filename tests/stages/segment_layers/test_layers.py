@@ -7,8 +7,8 @@ import pytest
 
 from stages.segment_layers.extract import extract_part, join, sink
 from stages.segment_layers.fill import fill_colors
-from stages.segment_layers.labelling import known_labels, label_costs, label_vertices, nearest_seen
-from stages.segment_layers.regions import (
+from stages.shared.meshes.labelling import known_labels, label_costs, label_vertices, nearest_seen
+from stages.shared.meshes.regions import (
     drop_absent,
     face_labels,
     mesh_edges,

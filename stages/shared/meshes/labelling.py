@@ -7,9 +7,9 @@ from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
-from stages.segment_layers.graph_cut import alpha_expansion
-from stages.segment_layers.regions import drop_absent, mesh_edges, remove_islands, vertex_areas
 from stages.shared.layers import NO_LABEL
+from stages.shared.meshes.graph_cut import alpha_expansion
+from stages.shared.meshes.regions import drop_absent, mesh_edges, remove_islands, vertex_areas
 
 _FLOOR = 0.02  # share of a vote that every label keeps: a vertex can be outvoted by its neighbourhood
 _UNSEEN = 0.05  # how much the nearest seen vertex counts for one that no image sees

@@ -100,10 +100,10 @@ def _with_one_body(labels: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 def subject_crop(mask: NDArray[np.uint8]) -> tuple[slice, slice]:
     """Rows and columns around the mask (H, W) of a picture, with a margin; all of them where it is empty."""
-    inside = mask > MASK_THRESHOLD
-    if not inside.any():
+    box = box_around(mask > MASK_THRESHOLD, _MARGIN)
+    if box is None:
         return slice(None), slice(None)
-    left, top, right, bottom = box_around(inside, _MARGIN, mask.shape[1], mask.shape[0])
+    left, top, right, bottom = box
     return slice(top, bottom), slice(left, right)
 
 

@@ -68,13 +68,13 @@ class Extent:
 
 
 def extent_of(sequence: TakeSequence, config: TrainConfig) -> Extent:
-    """What a run with a resolved configuration reads. Raises BadData for an empty mask."""
+    """What a run with a resolved configuration reads; views that show nobody count as nothing."""
     cameras = sequence.training_cameras
     learned = sequence.every(config.frame_step)
     followed = sequence.every(config.track.frame_step) if config.track.frame_step else []
     views = [(camera, frame) for frame in learned for camera in cameras]
     boxes = [sequence.subject_box(*view, margin=8) for view in views[:: max(1, len(views) // _SAMPLES)]]
-    sizes = [(right - left) * (bottom - top) for left, top, right, bottom in boxes]
+    sizes = [(right - left) * (bottom - top) for left, top, right, bottom in filter(None, boxes)]
     mean = round(sum(sizes) / max(len(sizes), 1))
     return Extent(len(learned), len(followed), len({*learned, *followed}), len(cameras), mean)
 

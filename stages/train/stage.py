@@ -94,6 +94,8 @@ def run(
                 workspace.root, progress, state.step, tensorboard and processes.first, report
             ) as board:
                 learn(trainer, progress, state, report, watch if processes.first else None, board)
+            if blank := trainer.views.blank_views():
+                report.warn(f"views that show nobody were left out ({blank})")
             if not processes.first:
                 processes.turn()  # until the first has written
                 artifact = workspace.require(TRAIN)

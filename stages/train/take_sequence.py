@@ -90,9 +90,14 @@ class TakeSequence:
         take, row = self._locate(frame)
         return take.labels(camera, row)
 
-    def subject_box(self, camera: str, frame: int, margin: int) -> Box:
+    def subject_box(self, camera: str, frame: int, margin: int) -> Box | None:
         take, row = self._locate(frame)
         return take.subject_box(camera, row, margin=margin)
+
+    def frame_name(self, frame: int) -> str:
+        """A frame by its number within its take, after the name of the take where there are several."""
+        take, row = self._locate(frame)
+        return str(row) if len(self.takes) == 1 else f"{take.name}/{row}"
 
     def _locate(self, frame: int) -> tuple[Take, int]:
         index = self._take_index(frame)

@@ -20,7 +20,7 @@ from torch import Tensor
 from stages.shared.body import BodyModel, Poses, posed_vertices
 from stages.shared.body.posed import pose_tensors
 from stages.shared.capture import Camera
-from stages.shared.capture.take import MASK_THRESHOLD
+from stages.shared.capture.take import MASK_THRESHOLD, box_around
 from stages.shared.errors import MissingInput
 from stages.shared.layers import BODY, NO_LABEL
 from stages.train.config import DEFAULT_METHOD
@@ -33,6 +33,7 @@ from stages.train.take_sequence import TakeSequence
 
 _BACKGROUND, _UNKNOWN = 250, 255
 _MARGIN = 8
+_BLANK_SIDE = 32  # pixels of a view that shows nobody
 CACHE_BYTES = 1 << 30  # of decoded crops
 CACHE_BYTES_PER_PIXEL = 6  # image 3, mask, layer, silhouette
 ViewKey = tuple[int, str, float, RandomCrop | None]
@@ -112,12 +113,20 @@ class TrainingViews:
         self._cached_bytes = 0
         self._cache_lock = threading.Lock()
         self._posed: dict[int, NDArray[np.float32]] = {}
+        self._blank: set[tuple[str, int]] = set()
         self.prefetcher: Prefetcher[ViewKey, View] = Prefetcher(self._make)
         self._crops: OrderedDict[tuple[int, str], _Crop] = OrderedDict()
         self._layer_of_id = np.full(256, _UNKNOWN, dtype=np.uint8)
         self.layer_of_label = method.layer_of_label(self.layers)
         for label, layer in self.layer_of_label.items():
             self._layer_of_id[label] = self.layers.index(layer)
+
+    def blank_views(self) -> str:
+        """Cameras and frames of the views read so far that show nobody, as "cam0: 4, 5; cam1: 7"."""
+        frames: dict[str, list[str]] = {}
+        for camera, frame in sorted(self._blank):
+            frames.setdefault(camera, []).append(self.sequence.frame_name(frame))
+        return "; ".join(f"{camera}: {', '.join(names)}" for camera, names in frames.items())
 
     def frames(self, step: int) -> list[int]:
         """Every `step`-th frame with images, of each take."""
@@ -185,12 +194,16 @@ class TrainingViews:
 
     def _read(self, frame: int, camera: str) -> _Crop:
         whole = self.sequence.camera(camera, frame)
-        box = (0, 0, whole.width, whole.height)
-        if self.crops:
-            box = self.sequence.subject_box(camera, frame, margin=_MARGIN)
+        mask = self.sequence.mask(camera, frame)
+        box = box_around(mask > MASK_THRESHOLD, _MARGIN)
+        if box is None:
+            self._blank.add((camera, frame))
+            return _blank_crop(whole)
+        if not self.crops:
+            box = (0, 0, whole.width, whole.height)
         left, top, right, bottom = box
         inside = (slice(top, bottom), slice(left, right))
-        mask = self.sequence.mask(camera, frame)[inside]
+        mask = mask[inside]
         labels = self.sequence.labels(camera, frame)
         view_camera = whole.crop(box)
         layer = np.full(mask.shape, _UNKNOWN, dtype=np.uint8)
@@ -227,6 +240,22 @@ class _Crop:
     @property
     def bytes(self) -> int:
         return self.image.nbytes + self.mask.nbytes + self.layer.nbytes + self.silhouette.nbytes
+
+
+def _blank_crop(camera: Camera) -> _Crop:
+    """A view that shows nobody: background alone, far outside the image, where nothing is rendered.
+
+    Every picture term is 0 there, so the view teaches nothing.
+    """
+    left = 20 * camera.width
+    shape = (_BLANK_SIDE, _BLANK_SIDE)
+    return _Crop(
+        camera.crop((left, 0, left + _BLANK_SIDE, _BLANK_SIDE)),
+        np.zeros((*shape, 3), np.uint8),
+        np.zeros(shape, np.uint8),
+        np.full(shape, _BACKGROUND, np.uint8),
+        np.zeros(shape, np.bool_),
+    )
 
 
 def _edge(inside: NDArray[np.bool_]) -> NDArray[Any]:

@@ -63,10 +63,6 @@ def write_labels(root: Path) -> None:
     cv2.imwrite(str(root / WALK / "labels/cam1/000001.png"), np.full((48, 64), 17, np.uint8))
 
 
-def empty_mask(root: Path) -> None:
-    cv2.imwrite(str(root / WALK / "masks/cam1/000001.png"), np.zeros((48, 64), np.uint8))
-
-
 def other_size(root: Path) -> None:
     cv2.imwrite(str(root / WALK / "rgb/cam1/000001.png"), np.zeros((24, 32, 3), np.uint8))
 
@@ -142,7 +138,6 @@ CASES: dict[str, tuple[Callable[[Path], object], type[GwError], str, str]] = {
     ),
     "cut poses": (lambda r: cut(r / WALK / "smpl_params.npz"), BadData, "cannot be read", "smpl_params.npz"),
     "unknown ids": (write_labels, BadData, "ids 17", "labels/cam1/000001.png"),
-    "empty mask": (empty_mask, BadData, "mask is empty", "masks/cam1/000001.png"),
     "other size": (other_size, BadData, "32 x 24", "rgb/cam1/000001.png"),
     "no rotation": (
         lambda r: edit_json(r / "cameras.json", scaled_rotation),

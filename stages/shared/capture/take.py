@@ -131,17 +131,12 @@ class Take:
             return read_scan(self.scan)
         return load_mesh(self.scan)
 
-    def subject_box(self, camera: str | Camera, frame: int, margin: int = 8) -> Box:
+    def subject_box(self, camera: str | Camera, frame: int, margin: int = 8) -> Box | None:
         """Smallest box (left, top, right, bottom) around the mask, `margin` pixels wider, inside the image.
 
-        Raises:
-            BadData: the mask is empty.
+        It is None where the mask shows nobody.
         """
-        seen_by = self.camera(camera)
-        mask = self.mask(camera, frame)
-        if mask.size and mask.max() <= MASK_THRESHOLD:
-            raise self.empty_mask(camera, frame)
-        return box_around(mask > MASK_THRESHOLD, margin, seen_by.width, seen_by.height)
+        return box_around(self.mask(camera, frame) > MASK_THRESHOLD, margin)
 
     def empty_mask(self, camera: str | Camera, frame: int) -> BadData:
         """The error for a view whose mask shows nobody."""
@@ -152,9 +147,15 @@ class Take:
         )
 
 
-def box_around(inside: NDArray[np.bool_], margin: int, width: int, height: int) -> Box:
-    """The box (left, top, right, bottom) around the true pixels of (H, W), widened, inside the image."""
+def box_around(inside: NDArray[np.bool_], margin: int) -> Box | None:
+    """The box (left, top, right, bottom) around the true pixels of (H, W), widened, inside the image.
+
+    It is None where no pixel is true.
+    """
     columns, rows = np.flatnonzero(inside.any(axis=0)), np.flatnonzero(inside.any(axis=1))
+    if not len(rows):
+        return None
+    height, width = inside.shape
     return (
         max(0, int(columns[0]) - margin),
         max(0, int(rows[0]) - margin),

@@ -8,6 +8,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -173,14 +174,17 @@ def test_writing_twice_gives_the_same_bytes(tmp_path: Path) -> None:
             assert path.read_bytes() == (second / path.relative_to(first)).read_bytes(), path
 
 
-def test_subject_box_is_around_the_mask(native: Capture) -> None:
-    take = native.takes[0]
+def test_subject_box_is_around_the_mask(tmp_path: Path) -> None:
+    root = scene.write_native(tmp_path / "ball")
+    take = open_capture(root).takes[0]
     _, mask, _ = scene.picture(take.cameras["cam0"])
     rows, columns = np.nonzero(mask)
-    left, top, right, bottom = take.subject_box("cam0", 0, margin=2)
+    left, top, right, bottom = take.subject_box("cam0", 0, margin=2) or (0, 0, 0, 0)
     assert (left, top) == (columns.min() - 2, rows.min() - 2)
     assert (right, bottom) == (columns.max() + 3, rows.max() + 3)
     assert take.subject_box("cam0", 0, margin=1000) == (0, 0, 64, 48)
+    cv2.imwrite(str(take.view("cam0", 1).mask), np.full((48, 64), 127, np.uint8))
+    assert take.subject_box("cam0", 1) is None
 
 
 def test_a_moved_capture_is_found_by_its_settings(tmp_path: Path) -> None:

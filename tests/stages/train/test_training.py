@@ -9,6 +9,7 @@ import signal
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -16,6 +17,7 @@ import torch
 from stages.pipeline import BAKE_MAPS, TRAIN
 from stages.shared.artifacts import Workspace
 from stages.shared.artifacts.result import StageResult
+from stages.shared.avatar.compose import compose
 from stages.shared.avatar.config import PAPER_MODEL
 from stages.shared.avatar.decoders.styleunet import StyleUNetDecoder
 from stages.shared.avatar.maps import LayerMaps
@@ -23,9 +25,10 @@ from stages.shared.body import embedded_body
 from stages.shared.capture import open_capture
 from stages.shared.errors import BadData, MissingInput, UsageProblem
 from stages.train import loop, stage, trainer
-from stages.train.config import LearningRates
+from stages.train.config import LearningRates, LossWeights
+from stages.train.objective import picture_terms, weighted
 from tests.listening import Listener
-from tests.stages.train.scene import look, make_subject, poses, tiny
+from tests.stages.train.scene import SIZE, look, make_subject, poses, tiny
 
 
 @pytest.fixture(scope="module")
@@ -185,3 +188,31 @@ def _spoil(monkeypatch: pytest.MonkeyPatch, steps: set[int]) -> None:
     monkeypatch.setattr(trainer.Trainer, "step", numbered)
     monkeypatch.setattr(trainer, "picture_terms", spoilt)
     assert loop.Trainer is trainer.Trainer
+
+
+@pytest.mark.parametrize("tracked", [0, 1])
+def test_views_that_show_nobody_are_left_out_and_named(subject: Path, tracked: int) -> None:
+    take = open_capture(subject.parent / "capture").training_takes[0]
+    for frame in (1, 3):
+        cv2.imwrite(str(take.view("cam1", frame).mask), np.zeros((SIZE, SIZE), np.uint8))
+    listener = Listener()
+    config = tiny(steps=8, track=replace(tiny().track, frame_step=tracked, warm_up=2))
+    assert stage.plan(subject, config).memory_bytes > 0
+    result = stage.run(subject, config, listener)
+    assert result.summary["steps"] == 8 and result.summary["skipped"] == 0
+    assert any("cam1: 1, 3" in text for text in listener.warnings)
+
+
+def test_a_view_that_shows_nobody_teaches_nothing(subject: Path) -> None:
+    take = open_capture(subject.parent / "capture").training_takes[0]
+    cv2.imwrite(str(take.view("cam1", 2).mask), np.zeros((SIZE, SIZE), np.uint8))
+    prepared = stage.prepare(subject, tiny())
+    view = prepared.views.view(2, "cam1")
+    composite = compose(prepared.posed(2))
+    weights = LossWeights(flow=1.0, silhouette=1.0)
+    terms = picture_terms(composite, view, torch.full((3,), 0.3), weights, "l1")
+    assert {"l1", "ssim", "label", "silhouette"} <= set(terms)
+    assert all(abs(float(term.detach())) < 1e-6 for term in terms.values()), terms
+    weighted(terms, weights).backward()
+    for parameter in prepared.parameters.values():
+        assert parameter.grad is None or not parameter.grad.any()

@@ -27,18 +27,19 @@ def detach(composite: Gaussians) -> Gaussians:
 def upstream_gradients(
     composite: Gaussians, detached: Gaussians, observed: Tensor | None = None
 ) -> list[tuple[Tensor, Tensor | None]]:
-    """The composite's tensors, each with the gradient that its detached copy accumulated.
+    """The composite's tensors, each with the gradient that its detached copy accumulated, where there is one.
 
     Arguments:
         observed: (N,) 0..1, factor of every Gaussian's gradients; None for 1.
     """
-    pairs = []
+    pairs: list[tuple[Tensor, Tensor | None]] = []
     for name in _NAMES:
         output, gradient = getattr(composite, name), getattr(detached, name).grad
-        if observed is not None and gradient is not None:
+        if not output.requires_grad or gradient is None:
+            continue
+        if observed is not None:
             gradient = gradient * _like_rows(observed, gradient)
-        if output.requires_grad:
-            pairs.append((output, gradient))
+        pairs.append((output, gradient))
     return pairs
 
 

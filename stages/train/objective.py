@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import torch
@@ -12,19 +13,18 @@ from stages.shared.avatar.maps import LayerMaps
 from stages.shared.capture import Camera
 from stages.shared.capture.camera import Box
 from stages.shared.layers import BODY, TOUCHING
-from stages.shared.losses.covered_skin import covered_skin_loss, hand_texels
-from stages.shared.losses.crops import mask_box, square_crop
 from stages.shared.losses.flow import dense_flow, flow_loss
-from stages.shared.losses.l1 import l1
-from stages.shared.losses.label import label_loss
-from stages.shared.losses.offset import offset_loss
-from stages.shared.losses.opacity import opacity_loss
-from stages.shared.losses.penetration import penetration_loss
-from stages.shared.losses.perceptual import Perceptual
-from stages.shared.losses.seam import seam_loss
-from stages.shared.losses.silhouette import silhouette_loss
-from stages.shared.losses.smooth import smooth_loss
-from stages.shared.losses.ssim import ssim_loss
+from stages.shared.losses.perceptual import Perceptual, mask_box, square_crop
+from stages.shared.losses.picture import l1, label_loss, silhouette_loss, ssim_loss
+from stages.shared.losses.surface import (
+    covered_skin_loss,
+    hand_texels,
+    offset_loss,
+    opacity_loss,
+    penetration_loss,
+    seam_loss,
+    smooth_loss,
+)
 from stages.shared.splat.api import render_gaussians
 from stages.shared.splat.gaussians import Gaussians
 from stages.shared.splat.rendering import Rendering
@@ -176,9 +176,10 @@ def surface_terms(
 
 
 def weighted(terms: dict[str, Tensor], weights: LossWeights) -> Tensor:
-    """Sum of the terms times their weights."""
+    """Sum of the terms times their weights; 0 without a gradient where there are no terms."""
     return _total(getattr(weights, name) * value for name, value in terms.items())
 
 
-def _total(values: object) -> Tensor:
-    return torch.stack(list(values)).sum()  # type: ignore[call-overload]
+def _total(values: Iterable[Tensor]) -> Tensor:
+    summands = list(values)
+    return torch.stack(summands).sum() if summands else torch.zeros(())

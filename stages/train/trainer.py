@@ -17,8 +17,7 @@ from stages.shared.avatar.motion import recent_motion
 from stages.shared.avatar.pose import FramePose, pose_at
 from stages.shared.capture import Camera
 from stages.shared.errors import BadData
-from stages.shared.losses.crops import face_box, face_centre
-from stages.shared.losses.perceptual import Perceptual
+from stages.shared.losses.perceptual import Perceptual, face_box, face_centre
 from stages.train import schedule
 from stages.train.config import LossWeights, TrainConfig
 from stages.train.distributed import ALONE, Processes
@@ -221,7 +220,9 @@ class Trainer:
                     crops = self._perceptual_crops(choice.frame, view.camera)
                     try:
                         terms = picture_terms(detached, view, behind, weights, self.config.label_kind, crops)
-                        _sum(terms, weights, 1.0 / len(choice.cameras), sums).backward()
+                        loss = _sum(terms, weights, 1.0 / len(choice.cameras), sums)
+                        if loss.requires_grad:
+                            loss.backward()
                     except BadData:  # the splatter refuses Gaussians that are not finite
                         sums["total"] = math.nan
                         break
@@ -248,7 +249,9 @@ class Trainer:
                 pairs = upstream_gradients(composite, detached, observed_of(self.models.values()))
                 if surface is not None and surface.requires_grad:
                     pairs.append((surface, None))
-                torch.autograd.backward([output for output, _ in pairs], [gradient for _, gradient in pairs])
+                if pairs:
+                    outputs, gradients = zip(*pairs, strict=True)
+                    torch.autograd.backward(outputs, gradients)
         return sums
 
     def _random_crop(self, choice: StepChoice, camera: str) -> RandomCrop | None:

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from stages.shared.capture.take import MASK_THRESHOLD
 from stages.shared.layers import REGIONS
-from stages.shared.losses.crops import mask_box, square_crop
-from stages.shared.losses.perceptual import Perceptual
+from stages.shared.losses.perceptual import Perceptual, mask_box, square_crop
 from stages.shared.metrics.flip import flip
 from stages.shared.metrics.psnr import Picture, psnr
 from stages.shared.metrics.segmentation import iou, segmentation_scores

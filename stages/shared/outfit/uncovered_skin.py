@@ -21,7 +21,7 @@ from torch.nn import functional
 from stages.shared.avatar.covering_discs import covering_discs
 from stages.shared.avatar.deform import Attributes
 from stages.shared.avatar.maps import LayerMaps
-from stages.shared.losses.covered_skin import hand_texels
+from stages.shared.losses.surface import hand_texels
 from stages.shared.outfit.coverage import FEATHER, covered_weights, same_grid
 from stages.shared.outfit.layer import Skin, WornLayer
 from stages.shared.quaternions import slerp

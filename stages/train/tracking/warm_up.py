@@ -90,7 +90,10 @@ def warm_up(
             background = torch.from_numpy(generator.random(3).astype(np.float32)).to(composite.means)
             terms = picture_terms(composite, view, background, weights, label_kind)
             losses.append(weighted(terms, weights))
-        torch.stack(losses).mean().backward()
+        loss = torch.stack(losses).mean()
+        if not loss.requires_grad:  # no picture term has a weight
+            return
+        loss.backward()
         gradients = [parameter.grad for _, parameter in free if parameter.grad is not None]
         if all(bool(torch.isfinite(gradient).all()) for gradient in gradients):
             optimizer.step()

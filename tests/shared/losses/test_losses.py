@@ -9,16 +9,17 @@ import torch
 from skimage.metrics import structural_similarity
 from torch import Tensor
 
-from stages.shared.losses.covered_skin import covered_skin_loss, hand_texels
-from stages.shared.losses.l1 import l1
-from stages.shared.losses.label import label_loss
-from stages.shared.losses.offset import offset_loss
-from stages.shared.losses.opacity import opacity_loss
-from stages.shared.losses.penetration import nearest_inner, penetration_loss
-from stages.shared.losses.seam import seam_loss
-from stages.shared.losses.silhouette import silhouette_loss
-from stages.shared.losses.smooth import smooth_loss
-from stages.shared.losses.ssim import ssim, ssim_loss
+from stages.shared.losses.picture import l1, label_loss, silhouette_loss, ssim, ssim_loss
+from stages.shared.losses.surface import (
+    covered_skin_loss,
+    hand_texels,
+    nearest_inner,
+    offset_loss,
+    opacity_loss,
+    penetration_loss,
+    seam_loss,
+    smooth_loss,
+)
 
 _NONE3 = torch.zeros(0, 3)
 _NO_PAIRS = torch.zeros(0, 2, dtype=torch.int64)

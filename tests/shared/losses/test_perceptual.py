@@ -14,8 +14,7 @@ from stages.shared.body import Poses, embedded_body
 from stages.shared.capture import Camera
 from stages.shared.errors import BadData, MissingInput
 from stages.shared.losses import perceptual as module
-from stages.shared.losses.crops import face_box, face_centre, mask_box, square_crop
-from stages.shared.losses.perceptual import Perceptual
+from stages.shared.losses.perceptual import Perceptual, face_box, face_centre, mask_box, square_crop
 from stages.shared.metrics.scores import ViewPair, view_scores
 from tests.shared.losses.perceptual_weights import random_weights
 

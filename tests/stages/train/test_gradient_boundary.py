@@ -43,6 +43,18 @@ def test_gradients_of_unobserved_texels(subject: Path, weights: LossWeights) -> 
     assert bool(gradient[::2].any()) == (weights is WITH_SURFACES)
 
 
+def test_a_run_without_picture_terms(subject: Path) -> None:
+    config = tiny(weights=LossWeights(**{**NONE, "offset": 1.0}), stage_two=0.0)
+    track = replace(config.track, frame_step=1, warm_up=2, cell=2)
+    trainer = stage.prepare(subject, replace(config, track=track))
+    trainer.warm_up()
+    model = trainer.models["upper"]
+    with torch.no_grad():
+        model.base_parameters()["offset"].add_(0.003)
+    report = trainer.step(0, 0.0)
+    assert report.finite and set(report.terms) == {"offset", "total"} and report.gradient_norm > 0
+
+
 def test_warm_up_leaves_unobserved_texels(subject: Path) -> None:
     config = tiny()
     track = replace(config.track, frame_step=1, warm_up=3, cell=2)

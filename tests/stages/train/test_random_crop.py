@@ -10,7 +10,7 @@ import torch
 
 from stages.shared.avatar.compose import compose
 from stages.shared.errors import UsageProblem
-from stages.shared.losses.crops import face_box
+from stages.shared.losses.perceptual import face_box
 from stages.train import stage
 from stages.train.objective import picture_terms, render
 from stages.train.random_crop import RandomCrop, boundaries

@@ -9,18 +9,17 @@ from typing import Any
 import numpy as np
 import torch
 
-from stages.shared.losses.covered_skin import covered_skin_loss
 from stages.shared.losses.flow import flow_loss
-from stages.shared.losses.l1 import l1
-from stages.shared.losses.label import label_loss
-from stages.shared.losses.offset import offset_loss
-from stages.shared.losses.opacity import opacity_loss
-from stages.shared.losses.penetration import penetration_loss
 from stages.shared.losses.perceptual import Perceptual, tensor_shapes
-from stages.shared.losses.seam import seam_loss
-from stages.shared.losses.silhouette import silhouette_loss
-from stages.shared.losses.smooth import smooth_loss
-from stages.shared.losses.ssim import ssim_loss
+from stages.shared.losses.picture import l1, label_loss, silhouette_loss, ssim_loss
+from stages.shared.losses.surface import (
+    covered_skin_loss,
+    offset_loss,
+    opacity_loss,
+    penetration_loss,
+    seam_loss,
+    smooth_loss,
+)
 from tests.benchmarks.stability.function import Function, Inputs, unit
 
 _SIZES = (0.0, 1e-30, 1e-12, 1e-3, 1.0, 1e3, 1e12, 1e30)

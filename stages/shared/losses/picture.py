@@ -1,8 +1,6 @@
-"""Structural similarity with an 11×11 Gaussian window, σ = 1.5 px (Wang et al. 2004), zero padding.
+"""Picture losses: colour, structure, layer labels, and the silhouette of the body.
 
-C₁ = 0.01², C₂ = 0.03² for values in 0..1; the mean is over pixels and channels. On a CPU in float32 the
-filters are OpenCV's and the gradient is written out; elsewhere plain torch convolutions do the same. The
-tests hold the two against each other and against finite differences.
+Pictures are (H, W, C) with values in 0..1. Every loss is a mean, so it does not depend on the picture's size.
 """
 
 from __future__ import annotations
@@ -17,8 +15,15 @@ from torch.nn import functional
 
 from stages.shared.finite import finite
 
-_SIZE, _SIGMA = 11, 1.5
-_C1, _C2 = 0.01**2, 0.03**2
+_SIZE, _SIGMA = 11, 1.5  # px, of the SSIM window
+_C1, _C2 = 0.01**2, 0.03**2  # SSIM, for values in 0..1
+
+
+def l1(image: Tensor, truth: Tensor) -> Tensor:
+    """Mean of |image − truth| over pixels and channels; both (H, W, C). An empty image gives 0."""
+    if image.numel() == 0:
+        return image.sum()
+    return finite((image - truth).abs().mean(), "l1", image=image, truth=truth)
 
 
 def ssim_loss(image: Tensor, truth: Tensor) -> Tensor:
@@ -29,7 +34,11 @@ def ssim_loss(image: Tensor, truth: Tensor) -> Tensor:
 
 
 def ssim(image: Tensor, truth: Tensor) -> Tensor:
-    """Mean structural similarity of two images (H, W, C)."""
+    """Mean structural similarity of two images (H, W, C) over pixels and channels (Wang et al. 2004).
+
+    The window is Gaussian, 11×11, σ = 1.5 px, with zero padding. On a CPU in float32 the filters are OpenCV's
+    and the gradient is written out. Elsewhere plain torch convolutions compute the same.
+    """
     truth = truth.detach()
     if image.device.type == "cpu" and image.dtype == torch.float32:
         mean = _FilteredSsim.apply(image, truth)
@@ -72,8 +81,8 @@ def _filtered_cv(image: Tensor) -> Tensor:
     """The same with OpenCV, for float32 on the CPU."""
     taps = _taps(image).numpy()
     array = np.ascontiguousarray(image.numpy())
-    found = cv2.sepFilter2D(array, cv2.CV_32F, taps, taps, borderType=cv2.BORDER_CONSTANT)
-    return torch.from_numpy(found.reshape(array.shape))
+    filtered = cv2.sepFilter2D(array, cv2.CV_32F, taps, taps, borderType=cv2.BORDER_CONSTANT)
+    return torch.from_numpy(filtered.reshape(array.shape))
 
 
 class _FilteredSsim(torch.autograd.Function):
@@ -98,3 +107,28 @@ class _FilteredSsim(torch.autograd.Function):
         total += 2 * image * _filtered_cv(by_square)
         total += truth * _filtered_cv(by_product)
         return total * (gradients[0] / index.numel()), None
+
+
+def label_loss(labels: Tensor, truth: Tensor, known: Tensor, kind: str = "l1") -> Tensor:
+    """Mean difference of rendered layer labels and the segmentation, over known pixels and channels.
+
+    Arguments:
+        labels: (H, W, L) rendered one-hot channels, background 0. truth: (H, W, L) 0 or 1.
+        known: (H, W) weight, 0 where the segmentation says nothing. kind: "l1" or "l2" (squared).
+    """
+    difference = labels - truth
+    cost = difference.abs() if kind == "l1" else difference.square()
+    mean = (cost.sum(dim=2) * known).sum() / (known.sum().clamp(min=1.0) * max(labels.shape[2], 1))
+    return finite(mean, "label_loss", labels=labels, truth=truth, known=known)
+
+
+def silhouette_loss(body_alpha: Tensor, silhouette: Tensor) -> Tensor:
+    """Mean of |Ŝ_b − S_b| over pixels (H, W): the body must fill its silhouette under garments too.
+
+    Arguments:
+        body_alpha: of a render of the body alone. silhouette: 0..1, of the body.
+    """
+    if body_alpha.numel() == 0:
+        return body_alpha.sum()
+    cost = (body_alpha - silhouette).abs().mean()
+    return finite(cost, "silhouette_loss", body_alpha=body_alpha, silhouette=silhouette)

@@ -14,8 +14,7 @@ from gw_cli.console import Console, command
 from gw_cli.inputs import check_exists, check_inputs_of, check_stages
 from gw_cli.options import DryRun, Force, Json, Subject
 from stages.shared.errors import UsageProblem
-from stages.train.ablation import PARTS
-from stages.train.config import DEFAULT_METHOD, PRESETS, TrainConfig
+from stages.train.config import DEFAULT_METHOD, PARTS, PRESETS, TrainConfig
 
 _WITHOUT = "Ablation: leave out, with commas: " + "; ".join(f"{k}, {v}" for k, v in PARTS.items()) + "."
 

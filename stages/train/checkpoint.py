@@ -11,7 +11,7 @@ from torch import Tensor
 from stages.shared.artifacts import Progress
 from stages.shared.errors import BadData
 from stages.shared.report import Report
-from stages.train.step_report import StepReport
+from stages.train.reporting import StepReport
 from stages.train.trainer import Trainer
 
 CHECKPOINT_NAME = "checkpoint.safetensors"

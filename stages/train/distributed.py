@@ -26,6 +26,7 @@ import torch
 from torch import Tensor, distributed, nn
 
 from stages.shared.artifacts import Progress
+from stages.shared.device import check_device
 from stages.shared.errors import GwError
 from stages.train.config import LossWeights, TrainConfig
 
@@ -216,6 +217,16 @@ def joined(device: str = "auto") -> Iterator[Processes]:
 def local_rank() -> int:
     """Number of this process on its machine: the GPU that it takes."""
     return int(os.environ.get("LOCAL_RANK", "0")) if distributed.is_torchelastic_launched() else 0
+
+
+def device_called(name: str) -> torch.device:
+    """The device of this process: "auto" and "cuda" take a GPU where there is one.
+
+    Raises UsageProblem for an unknown device.
+    """
+    check_device(name)
+    on_gpu = name != "cpu" and torch.cuda.is_available()
+    return torch.device("cuda", local_rank()) if on_gpu else torch.device("cpu")
 
 
 def on_this_machine() -> int:

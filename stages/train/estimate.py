@@ -1,15 +1,20 @@
-"""What a run needs, before it starts: pictures, parameters, time, memory, disk, and operations per frame.
+"""Estimates of a run before it starts: time, memory, disk and operations per frame; and the memory guard.
 
-Times are for two CPU cores. Memory is the peak of the process: libraries; learned numbers with gradient and
-both moments of Adam, and one more copy while a checkpoint is read or the result is written; Gaussians of a
-step; activations of the networks; pictures, decoded and cached; and at the end the PCA of positional maps.
+Times are for two CPU cores. Memory is the peak of the process. It is the sum of the libraries, the parameters
+(with gradients, both moments of Adam, and a copy while a checkpoint is read or written), the Gaussians of a
+step, the decoded and cached pictures, and the larger of the networks' activations and the PCA of positional
+maps at the end.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
+
+import torch
 
 from stages.shared.avatar.decoders.base import DecoderCost
 from stages.shared.avatar.decoders.cost import joints_used, multiply_adds
@@ -18,8 +23,11 @@ from stages.shared.avatar.maps import LayerMaps
 from stages.shared.avatar.pose import pose_at
 from stages.shared.avatar.used_joints import GROUPS, describe_rest
 from stages.shared.body import BodyModel, Poses
+from stages.shared.errors import UsageProblem
 from stages.shared.layers import LAYERS
 from stages.train.config import TrainConfig
+from stages.train.distributed import on_this_machine
+from stages.train.source import Source
 from stages.train.take_sequence import TakeSequence
 from stages.train.views import CACHE_BYTES, CACHE_BYTES_PER_PIXEL
 
@@ -43,6 +51,8 @@ _PCA_FLOATS = 7  # per value of a positional map in one frame
 _OTHER_FILES = 16 << 20  # bytes of metrics and previews
 _SAMPLES = 6  # pictures that are measured for `Extent.pixels`
 _MOST_POSES = 400  # rows of a take in which joints at rest are looked for
+_REFUSED_ABOVE = 0.9  # of the free memory
+_TORCH_MESSAGES = ("not enough memory", "can't allocate memory", "out of memory", "bad_alloc")
 
 
 @dataclass(frozen=True)
@@ -196,3 +206,94 @@ def _picture_bytes(layers: int, config: TrainConfig, extent: Extent) -> int:
 def _follows(layer: LayerMaps, group: str) -> bool:
     """Whether a texel has weight on a joint of a group."""
     return bool((layer.skin_weights[:, list(GROUPS[group].members)] > 0).any())
+
+
+def available_bytes(meminfo: Path = Path("/proc/meminfo")) -> int | None:
+    """Memory that a new process can have; None where the system does not tell."""
+    try:
+        lines = meminfo.read_text().splitlines()
+    except OSError:
+        return None
+    rows = [line.split() for line in lines if line.startswith("MemAvailable:")]
+    return int(rows[0][1]) * 1024 if rows and len(rows[0]) > 1 and rows[0][1].isdigit() else None
+
+
+def refuse_if_scarce(needed: int, available: int | None, fixes: Callable[[], dict[str, int]]) -> None:
+    """End a run that is not likely to fit, before it starts.
+
+    Arguments:
+        needed: estimate of the run, bytes. available: free bytes, None where unknown. fixes: options that
+            need less, and the bytes that the run would need with each.
+
+    Raises:
+        UsageProblem: more than nine tenths of the free memory are needed.
+    """
+    if available is None or needed <= _REFUSED_ABOVE * available:
+        return
+    raise UsageProblem(
+        f"This run needs about {needed / 1e9:.1f} GB of memory, and {available / 1e9:.1f} GB are free.",
+        "preset",
+        cure(fixes(), available),
+    )
+
+
+def cure(fixes: dict[str, int], available: int | None) -> str:
+    """The first of these options that fits, or other advice."""
+    for option, needed in fixes.items():
+        if available is None or needed <= _REFUSED_ABOVE * available:
+            return f"Use {option}, which needs about {needed / 1e9:.1f} GB."
+    return (
+        "Learn from fewer frames (--frame-step, --track-step), close other programs, or use another machine."
+    )
+
+
+@contextmanager
+def memory_named(needed: int, fixes: Callable[[], dict[str, int]]) -> Iterator[None]:
+    """Turn running out of memory into an error that says which option fits.
+
+    Raises:
+        UsageProblem: instead of MemoryError and torch's allocation errors.
+    """
+    try:
+        yield
+    except (MemoryError, torch.OutOfMemoryError, RuntimeError) as error:
+        text = str(error).lower()
+        if isinstance(error, RuntimeError) and not any(words in text for words in _TORCH_MESSAGES):
+            raise
+        raise UsageProblem(
+            f"Memory ran out; this run was estimated at {needed / 1e9:.1f} GB.",
+            "preset",
+            cure(fixes(), available_bytes()),
+        ) from error
+
+
+@contextmanager
+def guard_memory(
+    config: TrainConfig,
+    source: Source,
+    device: torch.device,
+    alternatives: Callable[[], dict[str, TrainConfig]],
+) -> Iterator[None]:
+    """Refuse a run that is not likely to fit, and name the cure where memory runs out inside the block.
+
+    Arguments:
+        config: resolved. alternatives: options, mildest first, and the resolved configuration with each.
+
+    Raises:
+        UsageProblem: as `refuse_if_scarce` (on a CPU) and `memory_named`.
+    """
+
+    def peak(other: TrainConfig) -> int:
+        return memory_bytes(source.layers.maps, other, extent_of(source.sequence, other))
+
+    def fixes() -> dict[str, int]:
+        sizes = {option: peak(other) for option, other in alternatives().items()}
+        return {option: size for option, size in sizes.items() if size < needed}
+
+    needed = peak(config)
+
+    if device.type == "cpu":
+        room = available_bytes()
+        refuse_if_scarce(needed, room // on_this_machine() if room else None, fixes)
+    with memory_named(needed, fixes):
+        yield

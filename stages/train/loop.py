@@ -18,8 +18,7 @@ from stages.train import checkpoint, schedule
 from stages.train.checkpoint import METRICS_NAME, RunState
 from stages.train.config import TrainConfig
 from stages.train.monitor import IntervalCallback, preview, preview_views
-from stages.train.step_report import StepReport
-from stages.train.tensorboard import TensorBoardLogger
+from stages.train.reporting import StepReport, TensorBoardLogger, mean_losses, metrics_line
 from stages.train.tracking.tracker import Interrupted, Tracker
 from stages.train.trainer import Trainer
 
@@ -67,8 +66,12 @@ def learn(
             pending.append(done)
             _count_skipped(trainer, progress, state, done, report)
             if state.step % _STEPS_PER_LINE == 0:
-                _note(progress, _line(pending, schedule.image_scale(config, _done(trainer, state))), board)
-                loss, l1 = _shown(pending)
+                _note(
+                    progress,
+                    metrics_line(pending, schedule.image_scale(config, _done(trainer, state))),
+                    board,
+                )
+                loss, l1 = mean_losses(pending)
                 report.progress(*_position(config, state), loss=loss, l1=l1)
                 pending = []
             before, state.elapsed = state.elapsed, state.elapsed + time.monotonic() - started
@@ -85,7 +88,7 @@ def learn(
     keep()
     _save_preview(trainer, progress, state, shown, board)
     if pending:
-        _note(progress, _line(pending, schedule.image_scale(config, 1.0)), board)
+        _note(progress, metrics_line(pending, schedule.image_scale(config, 1.0)), board)
 
 
 def _note(progress: Progress, line: dict[str, Any], board: TensorBoardLogger | None) -> None:
@@ -230,32 +233,6 @@ def _count_skipped(
             folder,
             "Look at that frame's images and pose; or train with another --seed.",
         )
-
-
-def _line(steps: list[StepReport], scale: float) -> dict[str, Any]:
-    """One line of the metrics: means over the finite steps."""
-    finite = [step for step in steps if step.finite]
-    number = max(len(finite), 1)
-
-    def means(rows: list[dict[str, float]]) -> dict[str, float]:
-        names = dict.fromkeys(name for row in rows for name in row)
-        return {name: sum(row.get(name, 0.0) for row in rows) / number for name in names}
-
-    return {
-        "step": steps[-1].step,
-        "losses": means([step.terms for step in finite]),
-        "gradient_norm": sum(step.gradient_norm for step in finite) / number,
-        "seconds": means([step.seconds for step in finite]),
-        "image_scale": scale,
-        "skipped": len(steps) - len(finite),
-    }
-
-
-def _shown(steps: list[StepReport]) -> tuple[float, float]:
-    """Mean total loss and picture difference of the latest finite steps."""
-    finite = [step for step in steps if step.finite] or steps[-1:]
-    total, difference = (sum(step.terms.get(name, 0.0) for step in finite) for name in ("total", "l1"))
-    return total / len(finite), difference / len(finite)
 
 
 def _save_preview(

@@ -13,10 +13,9 @@ from stages.shared.avatar.decoders.registry import decoder_class
 from stages.shared.body import posed_vertices
 from stages.shared.body.posed import pose_tensors
 from stages.shared.errors import UsageProblem
-from stages.train.ablation import apply_ablation
-from stages.train.config import TrainConfig
+from stages.train.config import PRESETS, TrainConfig, apply_ablation
 from stages.train.estimate import SECONDS_PER_TRACKED_VIEW
-from stages.train.methods.registry import method_called
+from stages.train.methods import method_called
 from stages.train.random_crop import SMALLEST
 from stages.train.source import Source
 from stages.train.take_sequence import TakeSequence
@@ -46,6 +45,15 @@ def resolve(config: TrainConfig, source: Source) -> TrainConfig:
     config = affordable_tracking(config, source.sequence)
     config = replace(config, model=replace(config.model, anchors=_key_poses(config, source.sequence)))
     return replace(config, weights=source.warm_start.weights(config.weights))
+
+
+def smaller_runs(config: TrainConfig, source: Source) -> dict[str, TrainConfig]:
+    """Options that may need less memory, mildest first, and the resolved configuration with each."""
+    others = {"--recompute": replace(config, recompute=True)}
+    for name in ("balanced", "draft", "tiny"):
+        preset = replace(PRESETS[name], method=config.method, minutes=config.minutes)
+        others[f"--preset {name}"] = resolve(preset, source)
+    return others
 
 
 def resolve_settings(config: TrainConfig) -> TrainConfig:

@@ -1,16 +1,21 @@
-"""What changes in the course of a run: learning rates, picture size, the second stage.
+"""Optimiser and schedule: Adam, and what changes in the course of a run.
 
-Every function takes the progress of the run, 0 at the start and 1 at the end.
+The functions of the schedule take the progress of the run, 0 at the start and 1 at the end.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import asdict, replace
 
+import torch
+
+from stages.shared.avatar.decoders.base import Decoder
 from stages.train.config import LossWeights, TrainConfig
 
 _COARSE_STEPS = 3
+_ADAM_EPSILON = 1e-15  # gradients of single Gaussians are tiny; the usual 1e-8 would drown them
 
 
 def progress(config: TrainConfig, step: int, elapsed: float) -> float:
@@ -55,3 +60,28 @@ def stage_weights(config: TrainConfig, done: float) -> LossWeights:
     if done >= config.flow_until or config.track.frame_step:
         weights = replace(weights, flow=0.0)
     return weights
+
+
+def named_parameters(models: dict[str, Decoder]) -> Iterator[tuple[str, torch.nn.Parameter]]:
+    """What is learned, as layer.name; frozen parameters are left out."""
+    for layer, model in models.items():
+        for name, parameter in model.named_parameters():
+            if parameter.requires_grad:
+                yield f"{layer}.{name}", parameter
+
+
+def adam(config: TrainConfig, models: dict[str, Decoder]) -> torch.optim.Adam:
+    """Adam with one group per kind of parameter."""
+    step_sizes = asdict(config.rates)
+    groups: dict[tuple[str, float], list[torch.nn.Parameter]] = {}
+    for model in models.values():
+        for kind, (step_size, parameters) in model.parameter_groups(step_sizes).items():
+            groups.setdefault((kind, step_size), []).extend(parameters)
+    return torch.optim.Adam(
+        [
+            {"params": parameters, "kind": kind, "lr": step_size, "start_rate": step_size}
+            for (kind, step_size), parameters in groups.items()
+        ],
+        eps=_ADAM_EPSILON,
+        fused=True,
+    )

@@ -18,8 +18,7 @@ from stages.shared.errors import MissingInput, UsageProblem
 from stages.shared.layers import in_order
 from stages.shared.poses import load_poses
 from stages.train.config import ALL_TAKES, TrainConfig
-from stages.train.methods.base import Method, MethodLayers
-from stages.train.methods.registry import method_called
+from stages.train.methods import Method, MethodLayers, method_called
 from stages.train.take_sequence import TakeSequence, concatenate_takes
 from stages.train.warm_start import WarmStart, read_warm_start
 

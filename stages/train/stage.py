@@ -21,29 +21,34 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from stages.pipeline import TRAIN
 from stages.shared.artifacts import Artifact, Progress, Workspace, require_room
 from stages.shared.artifacts.build import Build
 from stages.shared.artifacts.external import file_digest
 from stages.shared.artifacts.result import StageResult
+from stages.shared.avatar.decoders.base import Decoder
 from stages.shared.avatar.decoders.cost import costs
+from stages.shared.avatar.decoders.registry import new_decoder
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.errors import UsageProblem
 from stages.shared.losses.perceptual import SMALLEST_SIDE, Perceptual
 from stages.shared.plan import Plan
 from stages.shared.report import SILENT, Report
 from stages.train import checkpoint, estimate
-from stages.train import tensorboard as tensorboard_logger
 from stages.train.checkpoint import METRICS_NAME, RunState
 from stages.train.config import TrainConfig
-from stages.train.distributed import ALONE, Processes, Unwritten, for_all
+from stages.train.distributed import ALONE, Processes, Unwritten, device_called, for_all
+from stages.train.estimate import guard_memory
 from stages.train.loop import learn
-from stages.train.memory_guard import guard_memory
 from stages.train.monitor import IntervalCallback
-from stages.train.resolve import resolve
-from stages.train.setup import device_called, make_trainer
+from stages.train.reporting import require_tensorboard, tensorboard_logger
+from stages.train.resolve import resolve, smaller_runs
 from stages.train.source import Source, open_source
 from stages.train.trainer import Trainer
+from stages.train.views import TrainingViews
+from stages.train.warm_start import pretrained_decoder, warm_started
 
 
 def run(
@@ -59,54 +64,42 @@ def run(
 ) -> StageResult:
     """Train the layers of a subject. An interrupted run of the same configuration continues where it stopped.
 
-    Without `perceptual_weights` the LPIPS terms are off. `watch` is called with the outfit at given times.
-    With `from_subject`, layers start as that trained subject has them, and its body stays as it is. With
-    `tensorboard`, metrics and previews also go to `SUBJECT/tensorboard/train-<key>`. Of several `processes`
-    (`distributed.py`) the first writes, and the others help it.
+    Arguments:
+        perceptual_weights: weights of LPIPS; without them its terms are off.
+        watch: is called with the outfit at given times.
+        from_subject: a trained subject from which layers start; its body stays as it is.
+        tensorboard: metrics and previews also go to `SUBJECT/tensorboard/train-<key>`.
+        processes: that share the run (`distributed.py`). The first writes; the others help it.
 
     Raises:
         MissingInput: an earlier stage has not run. BadData: three steps in a row were not finite.
         KeyboardInterrupt: after Ctrl-C, with a checkpoint written.
     """
-    config = for_all(_with_digest(config or TrainConfig(), perceptual_weights), processes)
     if tensorboard:
-        tensorboard_logger.require()
+        require_tensorboard()
+    config = for_all(_with_digest(config or TrainConfig(), perceptual_weights), processes)
     workspace = Workspace(subject)
     source = open_source(workspace, config, from_subject)
-    finished = _finished(workspace, config, source, force, processes)
-    if finished is not None:
+    artifact = _finished(workspace, config, source, force, processes)
+    if artifact is not None:
         report.say("up to date")
-        return StageResult(finished, finished.summary)
+        return StageResult(artifact, artifact.summary)
     report.step("read")
     resolved, device = resolve(config, source), device_called(config.device)
     _say_what_differs(report, source, resolved, perceptual_weights)
     require_room(workspace.root, estimate.disk_bytes(source.layers.maps, resolved))
-    with guard_memory(resolved, source, device):
-        trainer = make_trainer(source, resolved, device, perceptual_weights, processes=processes)
-        folder = (
-            workspace.progress(TRAIN, config, source.inputs, force=force) if processes.first else Unwritten()
-        )
-        with folder as progress:
+    with guard_memory(resolved, source, device, lambda: smaller_runs(resolved, source)):
+        trainer = make_trainer(source, resolved, device, perceptual_weights, processes)
+        with _progress_folder(workspace, config, source, force, processes) as progress:
             state = checkpoint.resume(progress, trainer, report)
-            if watch is not None:
-                watch.layer_ids = source.layers.layer_ids
-            with tensorboard_logger.logger(
-                workspace.root, progress, state.step, tensorboard and processes.first, report
-            ) as board:
-                learn(trainer, progress, state, report, watch if processes.first else None, board)
-            if blank := trainer.views.blank_views():
-                report.warn(f"views that show nobody were left out ({blank})")
-            if not processes.first:
-                processes.turn()  # until the first has written
-                artifact = workspace.require(TRAIN)
-                return StageResult(artifact, artifact.summary)
-            trainer.finish()
-            trainer.fill_unobserved()
-            report.step("write")
-            with workspace.build(TRAIN, config, source.inputs, force=force) as build:
-                _write(build, source, trainer, state, progress)
-            processes.turn()
-    return StageResult(build.artifact, build.artifact.summary)
+            _learn(trainer, progress, state, report, watch, workspace.root if tensorboard else None, source)
+            if processes.first:
+                report.step("write")
+                with workspace.build(TRAIN, config, source.inputs, force=force) as build:
+                    _write(build, source, trainer, state, progress)
+            processes.turn()  # the others wait until the first has written
+            artifact = build.artifact if processes.first else workspace.require(TRAIN)
+    return StageResult(artifact, artifact.summary)
 
 
 def plan(
@@ -169,6 +162,61 @@ def _finished(
     if not processes.turn(stop=artifact is not None).stop:
         return None
     return artifact or workspace.require(TRAIN)
+
+
+def _progress_folder(
+    workspace: Workspace, config: TrainConfig, source: Source, force: bool, processes: Processes
+) -> Progress:
+    """The folder of the unfinished run; the other processes write nowhere."""
+    if not processes.first:
+        return Unwritten()
+    return workspace.progress(TRAIN, config, source.inputs, force=force)
+
+
+def make_trainer(
+    source: Source,
+    config: TrainConfig,
+    device: torch.device,
+    perceptual_weights: Path | None = None,
+    processes: Processes = ALONE,
+) -> Trainer:
+    """The trainer of a resolved configuration before its first step."""
+    layers, start = source.layers.maps, source.warm_start
+    poses = len(source.sequence.every(config.track.frame_step or config.frame_step))
+    pretrained = {name: pretrained_decoder(layer, device) for name, layer in start.layers.items()}
+    models: dict[str, Decoder] = {}
+    for index, (name, maps) in enumerate(layers.items()):
+        if name in start.frozen:
+            models[name] = pretrained[name]
+        elif name in start.layers:
+            models[name] = warm_started(start.layers[name], config.model, device)
+        else:
+            models[name] = new_decoder(maps.to(device), config.model, poses, config.seed + index).to(device)
+    views = TrainingViews(source.sequence, source.poses, source.body, list(layers), source.method)
+    perceptual = Perceptual.load(perceptual_weights) if perceptual_weights else None
+    return Trainer(config, models, views, device, perceptual, source.template_frame, pretrained, processes)
+
+
+def _learn(
+    trainer: Trainer,
+    progress: Progress,
+    state: RunState,
+    report: Report,
+    watch: IntervalCallback | None,
+    tensorboard_root: Path | None,
+    source: Source,
+) -> None:
+    """All steps, and what follows the last one. The first process reports to TensorBoard and to `watch`."""
+    first = trainer.processes.first
+    if watch is not None:
+        watch.layer_ids = source.layers.layer_ids
+    with tensorboard_logger(tensorboard_root if first else None, progress, state.step, report) as board:
+        learn(trainer, progress, state, report, watch if first else None, board)
+    if blank := trainer.views.blank_views():
+        report.warn(f"views that show nobody were left out ({blank})")
+    if first:
+        trainer.finish()
+        trainer.fill_unobserved()
 
 
 def _say_what_differs(

@@ -21,22 +21,26 @@ from stages.shared.losses.perceptual import Perceptual, face_box, face_centre
 from stages.train import schedule
 from stages.train.config import LossWeights, TrainConfig
 from stages.train.distributed import ALONE, Processes
-from stages.train.gradient_boundary import (
+from stages.train.objective import (
+    PerceptualCrops,
+    SurfaceTopology,
     detach,
     give_gradients,
     observed_of,
+    picture_terms,
+    surface_terms,
     take_gradients,
     upstream_gradients,
+    weighted,
 )
-from stages.train.objective import PerceptualCrops, SurfaceTopology, picture_terms, surface_terms, weighted
 from stages.train.observation import fill_unobserved, observed_texels
-from stages.train.optimizer import adam, named_parameters
-from stages.train.pretrained import PretrainedLayers, motion_for
 from stages.train.random_crop import RandomCrop
-from stages.train.step_report import StepClock, StepReport
+from stages.train.reporting import StepClock, StepReport
+from stages.train.schedule import adam, named_parameters
 from stages.train.tracking.tracker import Checkpoint, Tracker
 from stages.train.tracking.warm_up import warm_up
 from stages.train.views import StepChoice, TrainingViews, ViewKey, choose
+from stages.train.warm_start import PretrainedLayers, motion_for
 
 _LATER_KINDS = ("quaternion", "opacity", "scale", "color")  # free attributes that wait for full-size pictures
 _EYE_NOISE = 0.1  # m, keeps colours from memorising the training cameras' directions

@@ -1,15 +1,18 @@
 """Training views: which frame and cameras a step sees, and their pictures, cropped to the subject.
 
-The choice is a function of (seed, step) alone, so a resumed run continues as if it had never stopped.
+The choice is a function of (seed, step) alone. So a resumed run continues as if it had never stopped, and a
+thread can prepare the views of the next step while a step is computed.
 """
 
 from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import cv2
 import numpy as np
@@ -23,12 +26,10 @@ from stages.shared.capture import Camera
 from stages.shared.capture.take import MASK_THRESHOLD, box_around
 from stages.shared.errors import MissingInput
 from stages.shared.layers import BODY, NO_LABEL
+from stages.shared.losses.picture import rasterize_silhouette
 from stages.train.config import DEFAULT_METHOD
-from stages.train.methods.base import Method
-from stages.train.methods.registry import METHODS
-from stages.train.prefetch import Prefetcher
+from stages.train.methods import METHODS, Method
 from stages.train.random_crop import RandomCrop
-from stages.train.silhouette import rasterize_silhouette
 from stages.train.take_sequence import TakeSequence
 
 _BACKGROUND, _UNKNOWN = 250, 255
@@ -38,6 +39,8 @@ CACHE_BYTES = 1 << 30  # of decoded crops
 CACHE_BYTES_PER_PIXEL = 6  # image 3, mask, layer, silhouette
 ViewKey = tuple[int, str, float, RandomCrop | None]
 """Frame, camera, scale, crop."""
+Key = TypeVar("Key", bound=Hashable)
+Value = TypeVar("Value")
 
 
 @dataclass(frozen=True)
@@ -263,3 +266,45 @@ def _edge(inside: NDArray[np.bool_]) -> NDArray[Any]:
     mask = inside.astype(np.uint8)
     kernel = np.ones((3, 3), dtype=np.uint8)
     return cv2.dilate(mask, kernel) - cv2.erode(mask, kernel)
+
+
+class Prefetcher(Generic[Key, Value]):
+    """Makes values before they are needed. Outside of `running` it makes them when they are needed.
+
+    Arguments:
+        make: makes the value of a key; called in one other thread.
+    """
+
+    def __init__(self, make: Callable[[Key], Value]) -> None:
+        self._make = make
+        self._thread: ThreadPoolExecutor | None = None
+        self._pending: dict[Key, Future[Value]] = {}
+
+    @contextmanager
+    def running(self) -> Iterator[None]:
+        """The thread lives as long as this block. A nested block uses the thread of the outer one."""
+        if self._thread is not None:
+            yield
+            return
+        with ThreadPoolExecutor(1, thread_name_prefix="gw-prefetch") as self._thread:
+            try:
+                yield
+            finally:
+                self.schedule(())
+                self._thread = None
+
+    def schedule(self, keys: Iterable[Key]) -> None:
+        """These keys are needed next, in this order; everything else is dropped."""
+        if self._thread is None:
+            return
+        scheduled = dict.fromkeys(keys)
+        for key in [key for key in self._pending if key not in scheduled]:
+            self._pending.pop(key).cancel()
+        for key in scheduled:
+            if key not in self._pending:
+                self._pending[key] = self._thread.submit(self._make, key)
+
+    def value(self, key: Key) -> Value:
+        """The value of a key; what making it raised is raised here."""
+        pending = self._pending.pop(key, None)
+        return self._make(key) if pending is None else pending.result()

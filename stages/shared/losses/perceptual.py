@@ -38,6 +38,10 @@ SMALLEST_SIDE = 16  # px; below, the last block has no pixel left
 _SHIFT = (-0.030, -0.088, -0.188)
 _SCALE = (0.458, 0.448, 0.450)
 _EPSILON = 1e-10
+_HEAD = 15
+_FACE_ABOVE_JOINT = 0.06  # m, along the head's own up
+_FACE_RADIUS = 0.15  # m
+_SMALLEST_FACE = 16  # px
 
 
 def tensor_shapes() -> dict[str, tuple[int, ...]]:
@@ -123,12 +127,6 @@ def _checked(file: safe_open, there: set[str], name: str, shape: tuple[int, ...]
     if not bool(tensor.isfinite().all()):
         raise BadData(f"The tensor {name} has values that are not finite.", str(path), fix)
     return tensor
-
-
-_HEAD = 15
-_FACE_ABOVE_JOINT = 0.06  # m, along the head's own up
-_FACE_RADIUS = 0.15  # m
-_SMALLEST_FACE = 16  # px
 
 
 def mask_box(mask: Tensor, margin: int = 0) -> Box | None:

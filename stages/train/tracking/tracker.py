@@ -28,7 +28,6 @@ from stages.shared.layers import BODY
 from stages.shared.splat.gaussians import Gaussians
 from stages.train.config import TrackConfig
 from stages.train.objective import render
-from stages.train.pretrained import PretrainedLayers
 from stages.train.tracking.control_grid import ControlGrid, Floats, conjugate_gradient, fit_control_points
 from stages.train.tracking.normal_equations import (
     NormalEquations,
@@ -36,22 +35,20 @@ from stages.train.tracking.normal_equations import (
     estimate_flow,
     grey_picture,
 )
-from stages.train.tracking.route import plan_route
 from stages.train.views import TrainingViews, View
+from stages.train.warm_start import PretrainedLayers
 
 _PER_METRE = 220.0  # px; only the unit of the solution, which the smoothness weights refer to
 _SOLVER_STEPS = 60
 _REFERENCE_SHARE = 0.9  # share of the last frame's shape that smoothness takes as its reference
 _BODY_JOINTS = 22  # without face and fingers
 _EXTRAPOLATION = 0.5  # share of the last frame's motion that is expected to continue
+Checkpoint = Callable[[], None]
+"""Called between small units of work; may raise `Interrupted`."""
 
 
 class Interrupted(Exception):
-    """Tracking of a frame, or the warm-up, was stopped on request. What it had done is undone."""
-
-
-Checkpoint = Callable[[], None]
-"""Called between small units of work; may raise `Interrupted`."""
+    """Tracking of a frame, or the warm-up, was stopped on request. Nothing of the unfinished unit remains."""
 
 
 @dataclass(frozen=True)
@@ -275,3 +272,48 @@ def _tracked_layer(decoder: Decoder, key_poses: KeyPoseOffsets, cell: int) -> _T
 def _control_points(layer: _TrackedLayer, index: int) -> Floats:
     """Control points (M, 3) m of a key pose."""
     return np.asarray(layer.control_points[index].double().numpy())
+
+
+@dataclass(frozen=True)
+class Route:
+    """An order of frames.
+
+    Attributes:
+        order: indices of frames. before: the frame from which each frame is reached; None for the first.
+        entries: the first frame of every take.
+    """
+
+    order: list[int]
+    before: dict[int, int | None]
+    entries: frozenset[int]
+
+    def earlier(self, index: int) -> int | None:
+        """The frame before the one that a frame is reached from, where all three are neighbours in a take."""
+        last = self.before[index]
+        if last is None or self.entries & {index, last}:
+            return None
+        return self.before[last]
+
+
+def plan_route(groups: list[list[int]], start: int, descriptions: Tensor) -> Route:
+    """From `start` to the end of its take, then back to the beginning of the take; then the other takes.
+
+    Another take is entered at the frame whose pose is nearest to a frame that has been tracked.
+
+    Arguments:
+        groups: indices of frames by take. descriptions: (K, M) poses of all frames.
+    """
+    order: list[int] = []
+    before: dict[int, int | None] = {}
+    entries = []
+    for group in sorted(groups, key=lambda group: start not in group):
+        entry, source = start, None
+        if order:
+            distance = torch.cdist(descriptions[group], descriptions[order])
+            row, column = divmod(int(distance.argmin()), len(order))
+            entry, source = group[row], order[column]
+        forwards, backwards = [i for i in group if i > entry], [i for i in reversed(group) if i < entry]
+        before |= {entry: source} | {i: i - 1 for i in forwards} | {i: i + 1 for i in backwards}
+        order += [entry, *forwards, *backwards]
+        entries.append(entry)
+    return Route(order, before, frozenset(entries))

@@ -13,8 +13,7 @@ from stages.shared.avatar.decoders.base import Decoder
 from stages.shared.avatar.deform import PosedGaussians, pose_layer
 from stages.shared.avatar.pose import FramePose
 from stages.train.config import LearningRates, LossWeights
-from stages.train.gradient_boundary import mask_gradients, observed_of
-from stages.train.objective import picture_terms, weighted
+from stages.train.objective import mask_gradients, observed_of, picture_terms, weighted
 from stages.train.tracking.tracker import Checkpoint, Interrupted
 from stages.train.views import TrainingViews
 

@@ -31,9 +31,9 @@ from stages.shared.outfit.trained_subject import TrainedSubject
 from stages.train import stage
 from stages.train.config import LossWeights, TrackConfig
 from stages.train.objective import render
-from stages.train.pretrained import PretrainedLayers
-from stages.train.step_report import StepReport
+from stages.train.reporting import StepReport
 from stages.train.trainer import Trainer
+from stages.train.warm_start import PretrainedLayers
 from tests.listening import Listener
 from tests.shared.avatar.tubes import tube_arrays
 from tests.stages.train.scene import cameras, make_subject, poses, tiny

@@ -13,10 +13,16 @@ from gw_cli.child import run_command
 from stages.shared.artifacts import files
 from stages.shared.avatar.config import PAPER_MODEL
 from stages.shared.errors import StorageFailure, UsageProblem
-from stages.train import memory_guard, stage
+from stages.train import estimate, stage
 from stages.train.config import PRESETS, TrackConfig
-from stages.train.estimate import extent_of, memory_bytes
-from stages.train.memory_guard import available_bytes, cure, memory_named, refuse_if_scarce
+from stages.train.estimate import (
+    available_bytes,
+    cure,
+    extent_of,
+    memory_bytes,
+    memory_named,
+    refuse_if_scarce,
+)
 from stages.train.stage import prepare
 from stages.train.trainer import Trainer
 from tests.stages.train.scene import TINY, make_subject, tiny
@@ -39,7 +45,7 @@ def test_a_run_that_cannot_fit_is_refused_before_it_starts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     subject = make_subject(tmp_path)
-    monkeypatch.setattr(memory_guard, "available_bytes", lambda: 700_000_000)
+    monkeypatch.setattr(estimate, "available_bytes", lambda: 700_000_000)
     huge = tiny(model=replace(PAPER_MODEL, width=0.5, depth=4))
     with pytest.raises(UsageProblem, match="GB are free") as caught:
         stage.run(subject, huge)

@@ -19,11 +19,8 @@ from stages.shared.errors import MissingInput, UsageProblem
 from stages.shared.layers import LAYERS
 from stages.shared.outfit.trained_subject import TrainedSubject
 from stages.train import stage
-from stages.train.ablation import PARTS, apply_ablation
-from stages.train.config import DEFAULT_METHOD, PRESETS, LossWeights, TrainConfig
-from stages.train.methods.animatable_gaussians import whole_layer
-from stages.train.methods.layga import clothing_layer
-from stages.train.methods.registry import METHODS, method_called
+from stages.train.config import DEFAULT_METHOD, PARTS, PRESETS, LossWeights, TrainConfig, apply_ablation
+from stages.train.methods import METHODS, clothing_layer, method_called, whole_layer
 from stages.train.resolve import resolve_settings
 from tests.shared.avatar.tubes import CENTRE, GRID, PITCH, tube_arrays
 from tests.stages.train.scene import make_subject, poses, tiny

@@ -14,8 +14,8 @@ from stages.pipeline import TRAIN
 from stages.shared.artifacts import Workspace
 from stages.shared.errors import BadData
 from stages.train import stage
-from stages.train.prefetch import Prefetcher
 from stages.train.stage import prepare
+from stages.train.views import Prefetcher
 from tests.stages.train.scene import make_subject, tiny
 
 

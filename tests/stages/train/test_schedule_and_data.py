@@ -10,9 +10,9 @@ import pytest
 
 from stages.shared.body import embedded_body
 from stages.shared.capture import Camera, open_capture
+from stages.shared.losses.picture import rasterize_silhouette
 from stages.train import schedule
 from stages.train.config import PRESETS, LossWeights, TrainConfig
-from stages.train.silhouette import rasterize_silhouette
 from stages.train.take_sequence import TakeSequence
 from stages.train.views import TrainingViews, choose
 from tests.stages.train.scene import make_subject, poses, tiny

@@ -20,7 +20,7 @@ from stages.shared.errors import BadData, UsageProblem
 from stages.train import stage
 from stages.train.config import TrackConfig
 from stages.train.take_sequence import concatenate_takes
-from stages.train.tracking.route import plan_route
+from stages.train.tracking.tracker import plan_route
 from tests.stages.train.scene import FRAMES, make_subject, poses, tiny
 
 _TURNED = 3

@@ -20,7 +20,7 @@ import pytest
 from stages.shared.artifacts import Workspace
 from stages.shared.errors import MissingInput
 from stages.train import stage
-from stages.train.step_report import StepReport
+from stages.train.reporting import StepReport
 from stages.train.trainer import Trainer
 from tests.listening import Listener
 from tests.stages.train.scene import make_subject, tiny

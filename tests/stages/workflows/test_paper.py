@@ -11,9 +11,8 @@ from typer.testing import CliRunner
 from gw_cli.app import app
 from stages.pipeline import BAKE_MAPS, TRAIN
 from stages.shared.artifacts import Workspace
-from stages.train.ablation import PARTS
-from stages.train.config import DEFAULT_METHOD
-from stages.train.methods.registry import METHODS
+from stages.train.config import DEFAULT_METHOD, PARTS
+from stages.train.methods import METHODS
 from stages.workflows.paper.published import ABLATION, NOVEL_POSE, NOVEL_VIEW
 from stages.workflows.paper.tables import OwnRow, markdown, tables
 from tests.shared.outfit.wardrobe import make_subject

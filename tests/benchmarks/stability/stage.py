@@ -11,35 +11,28 @@ from stages.shared.artifacts import write_whole
 from stages.shared.artifacts.canonical import readable_json
 from stages.shared.errors import UsageProblem
 from stages.shared.report import SILENT, Report
-from tests.benchmarks.stability.config import PRECISIONS, StabilityConfig
+from tests.benchmarks.stability.config import StabilityConfig
 from tests.benchmarks.stability.functions import FAMILIES, FUNCTIONS
 from tests.benchmarks.stability.measure import Measured, measure, precisions
 
 _HEADER = """# Stability
 
-How far the result of every public numerical function is from the truth, by the size of its input and by
-precision. Made by `python -m tests.benchmarks.stability -o OUT` (`make docs` puts it here); the cases are
-those of `tests/benchmarks/stability/functions`. `tests/extremes` runs every one of them on every change, and
-each function again with NaN and infinity in one number of every input.
+This page shows how far the result of each public numerical function is from the truth. `make docs` writes it with
+`python -m tests.benchmarks.stability -o OUT`. The cases are in `tests/benchmarks/stability/functions`. `stability.json` in OUT has
+the error of every function at every magnitude and precision. `tests/extremes` runs all cases on every change, and runs each function
+again with NaN and infinity in one number of every input.
 
-An entry is the largest difference from the truth over the truth's largest entry; behind the slash the same
-of the gradients, the worst of all inputs. The truth is float64 on the same numbers. The float64 column is
-what moving every input by one unit in the last place changes: how much the problem itself magnifies
-rounding. *Refused* is an error that names the array and the index; there is no third outcome: {cases} cases,
-{finite} finite, {refused} refused, {not_finite} neither. bfloat16 is listed where a function takes it, and
-shows why none of this runs in it.
+An error is the largest difference from the truth, divided by the largest entry of the truth. The truth is the float64 result on the same
+numbers. The gradient column is the worst error of the gradients of all inputs. Errors are the worst ones inside the everyday range. The
+tests hold float32 to the limit in brackets. *Refused from* is the first magnitude beyond that range that float32 refuses,
+with an error that names the array and the index.
 
-An entry of 1 is one of three things: a number too small for its type became 0 (squares of 1e-30 in float32);
-what is 0 in truth is rounding here (round Gaussians have no orientation to differentiate by); or the problem
-has no answer at that size (an angle of 1e20 rad, where neighbouring numbers are turns apart; joints that turn
-by half a turn a frame, either way). What follows the garments in training (`stages/train/tracking`) is
-tried by `tests/extremes` as well, on systems from 1e-200 to 1e200, layers of
-one texel, pictures of nothing and cameras anywhere.
+All {cases} cases end in one of two ways: {finite} give a finite result, {refused} are refused, {not_finite} do neither.
 
-### At a glance
-
-The worst of the everyday range, where the tests hold float32 to the limit in brackets, and the first
-magnitude beyond it that float32 refuses.
+An error of 1 has one of three causes. A value that is too small for its type became 0 (squares of 1e-30 in float32). A value that is 0 in truth is
+rounding here (a round Gaussian has no orientation to differentiate by). Or the problem has no answer at that size (an angle of
+1e20 rad, where neighbouring float32 numbers are many turns apart). bfloat16 is listed where a function takes it. It is not used
+in `gw`.
 
 {glance}
 """
@@ -86,25 +79,13 @@ def summary(rows: Sequence[Measured]) -> dict[str, Any]:
 
 
 def markdown(rows: Sequence[Measured]) -> str:
-    """One table per family: magnitude against error (of the gradients, after a slash), by precision."""
-    lines = [_HEADER.format(**summary(rows), glance="\n".join(_glance(rows)))]
-    for family in dict.fromkeys(row.family for row in rows):
-        lines += [f"### {family[0].upper()}{family[1:]}", ""]
-        lines += ["| function | input | magnitude | " + " | ".join(PRECISIONS) + " |", "| --- " * 6 + "|"]
-        cells: dict[tuple[str, str, float], dict[str, str]] = {}
-        for row in rows:
-            if row.family == family:
-                cells.setdefault((row.function, row.axis, row.magnitude), {})[row.precision] = _cell(row)
-        for (function, axis, magnitude), by in cells.items():
-            values = " | ".join(by.get(precision, "") for precision in PRECISIONS)
-            lines.append(f"| {function} | {axis} | {magnitude:.12g} | {values} |")
-        lines.append("")
-    return "\n".join(lines)
+    """The page: one row per function and input."""
+    return _HEADER.format(**summary(rows), glance="\n".join(_glance(rows)))
 
 
 def _glance(rows: Sequence[Measured]) -> list[str]:
     """One line per function and input: its range of everyday numbers and the worst errors in it."""
-    lines = ["| function | input | everyday | float32 | its gradients | bfloat16 | refused from |"]
+    lines = ["| function | input | everyday range | float32 | gradients | bfloat16 | refused from |"]
     lines += ["| --- " * 7 + "|"]
     for function in FUNCTIONS:
         own = [row for row in rows if (row.function, row.axis) == (function.name, function.axis)]
@@ -134,12 +115,3 @@ def _worst(errors: Sequence[float | None], limit: float | None) -> str:
     if not known:
         return ""
     return f"{max(known):.0e}" + (f" [{limit:.0e}]" if limit is not None and limit < 1 else "")
-
-
-def _cell(row: Measured) -> str:
-    if row.outcome != "finite":
-        return row.outcome
-    if row.error is None:
-        return "finite"
-    slope = "" if row.gradient_error is None else f" / {row.gradient_error:.0e}"
-    return f"{row.error:.0e}{slope}"

@@ -17,22 +17,25 @@ from tests.benchmarks.stability.measure import Measured, measure, precisions
 
 _HEADER = """# Stability
 
-This page shows how far the result of each public numerical function is from the truth. `make docs` writes it with
-`python -m tests.benchmarks.stability -o OUT`. The cases are in `tests/benchmarks/stability/functions`. `stability.json` in OUT has
-the error of every function at every magnitude and precision. `tests/extremes` runs all cases on every change, and runs each function
-again with NaN and infinity in one number of every input.
+This page shows how far the result of each public numerical function is from the truth. `make docs` writes
+it with `python -m tests.benchmarks.stability -o OUT`. The cases are in
+`tests/benchmarks/stability/functions`. `stability.json` in OUT has the error of every function at every
+magnitude and precision. `tests/extremes` runs all cases on every change, and runs each function again with
+NaN and infinity in one number of every input.
 
-An error is the largest difference from the truth, divided by the largest entry of the truth. The truth is the float64 result on the same
-numbers. The gradient column is the worst error of the gradients of all inputs. Errors are the worst ones inside the everyday range. The
-tests hold float32 to the limit in brackets. *Refused from* is the first magnitude beyond that range that float32 refuses,
-with an error that names the array and the index.
+An error is the largest difference from the truth, divided by the largest entry of the truth. The truth is
+the float64 result on the same numbers. The gradient column is the worst error of the gradients of all
+inputs. Errors are the worst ones inside the everyday range. The tests hold float32 to the limit in
+brackets. *Refused from* is the first magnitude beyond that range that float32 refuses, with an error that
+names the array and the index.
 
-All {cases} cases end in one of two ways: {finite} give a finite result, {refused} are refused, {not_finite} do neither.
+All {cases} cases end in one of two ways: {finite} give a finite result, {refused} are refused, {not_finite}
+do neither.
 
-An error of 1 has one of three causes. A value that is too small for its type became 0 (squares of 1e-30 in float32). A value that is 0 in truth is
-rounding here (a round Gaussian has no orientation to differentiate by). Or the problem has no answer at that size (an angle of
-1e20 rad, where neighbouring float32 numbers are many turns apart). bfloat16 is listed where a function takes it. It is not used
-in `gw`.
+An error of 1 has one of three causes. A value that is too small for its type became 0 (squares of 1e-30 in
+float32). A value that is 0 in truth is rounding here (a round Gaussian has no orientation to differentiate
+by). Or the problem has no answer at that size (an angle of 1e20 rad, where neighbouring float32 numbers are
+many turns apart). bfloat16 is listed where a function takes it. It is not used in `gw`.
 
 {glance}
 """

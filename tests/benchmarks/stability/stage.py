@@ -29,8 +29,7 @@ inputs. Errors are the worst ones inside the everyday range. The tests hold floa
 brackets. *Refused from* is the first magnitude beyond that range that float32 refuses, with an error that
 names the array and the index.
 
-All {cases} cases end in one of two ways: {finite} give a finite result, {refused} are refused, {not_finite}
-do neither.
+{cases} cases: {finite} finite, {refused} refused, {not_finite} neither.
 
 An error of 1 has one of three causes. A value that is too small for its type became 0 (squares of 1e-30 in
 float32). A value that is 0 in truth is rounding here (a round Gaussian has no orientation to differentiate

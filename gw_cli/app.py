@@ -1,6 +1,6 @@
-"""The command table, in the order of the pipeline.
+"""The table of commands: what makes avatars, what wears them, what measures.
 
-Command modules are light: what is heavy (torch, open3d, …) is imported when a command runs, so that
+Command modules are light. A command imports what is heavy (torch, open3d, …) only when it runs, so that
 `gw --help` answers at once.
 """
 
@@ -14,38 +14,33 @@ import typer
 
 from gw_cli import streams
 from gw_cli.console import CommandTable
+from gw_cli.help import CommandApp
 
-# Read when torch loads. Its idle threads would otherwise spin for milliseconds after every operation, on the
-# core that the splatting threads (or another process) could use: measured, that cost up to five times.
+# Torch reads this when it loads. Without it, torch's idle threads spin for milliseconds after every operation
+# and keep a core from the splatting threads; measured, that made frames up to five times slower.
 os.environ.setdefault("GOMP_SPINCOUNT", "1000")
 
-# Modules of this package, each with `register(app)`; the order is the one `gw --help` shows.
-COMMANDS: tuple[str, ...] = (
-    "import_capture",
-    "register_template",
-    "canonicalize",
-    "segment_layers",
-    "bake_maps",
-    "train",
-    "distill",
-    "fit_cloth",
-    "export_garment",
-    "inspect",
-    "wardrobe",
-    "poses",
-    "tryon",
-    "render",
-    "view",
-    "evaluate",
-    "synth",
-    "demo",
-    "status",
-    "verify",
-    "clean",
-    "doctor",
-    "pipeline",
-    "bench",
-)
+# Modules of this package, each with `register(app)`, by the box and in the order of `gw --help`.
+COMMANDS: dict[str, tuple[str, ...]] = {
+    "Make": (
+        "import_capture",
+        "register_template",
+        "canonicalize",
+        "segment_layers",
+        "bake_maps",
+        "train",
+        "distill",
+        "fit_cloth",
+        "export_garment",
+        "synth",
+        "demo",
+        "pipeline",
+        "status",
+        "clean",
+    ),
+    "Wear": ("wardrobe", "inspect", "poses", "tryon", "render", "view"),
+    "Measure": ("evaluate", "bench", "verify", "doctor"),
+}
 
 
 def _show_version(wanted: bool) -> None:
@@ -59,7 +54,7 @@ def _show_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-app = typer.Typer(
+app = CommandApp(
     name="gw",
     cls=CommandTable,
     help="Learn a body and its garments from multi-view video; wear them elsewhere.",
@@ -78,8 +73,10 @@ def group(
     """Learn a body and its garments from multi-view video; wear them elsewhere."""
 
 
-for _name in COMMANDS:
-    importlib.import_module(f"gw_cli.{_name}").register(app)
+for _panel, _modules in COMMANDS.items():
+    app.panel = _panel
+    for _module in _modules:
+        importlib.import_module(f"gw_cli.{_module}").register(app)
 
 
 def main() -> None:

@@ -1,8 +1,8 @@
 """Options of a command made from the fields of its configuration, so that each is declared once.
 
 A field declared with `stages.shared.option.option` becomes an option, also in a configuration inside the
-configuration. Its metadata give its `help` and, where they apply, `min`, `max`, `metavar`, `choices` and
-`flag` (the option's name, where it is not the field's).
+configuration. Its metadata give its `help` and, where they apply, `min`, `max`, `metavar`, `choices`, `panel`
+(the box of the help page) and `flag` (the option's name, where it is not the field's).
 """
 
 from __future__ import annotations
@@ -43,22 +43,24 @@ class _Option:
 
 def config_options(
     presets: Mapping[str, Any],
-    preset: str,
+    preset: str | None = None,
     omit: Collection[str] = (),
     help: Mapping[str, str] | None = None,
     completion: Mapping[str, Callable[..., list[str]]] | None = None,
 ) -> Callable[[Command], Command]:
     """Replace the parameter `config` of a command by one option per declared field, and by --preset.
 
-    The command is called with the preset's configuration, changed by the options. Tuples are given as a
+    The command is called with the preset's configuration, changed by the options. Tuples are typed as a
     comma-separated list. A field in which presets differ has no default of its own.
 
     Arguments:
-        presets: by name; one dataclass. preset: name of the default one.
+        presets: configurations of one dataclass, by name.
+        preset: name of the default one; None where there is only one, and then no --preset.
         omit: fields without an option. help: texts in place of the fields' own. completion: what
             the shell offers at the Tab key, where that is not the field's `choices`.
     """
-    options = [option for option in _declared(type(presets[preset])) if option.name not in omit]
+    (first, *_) = presets
+    options = [option for option in _declared(type(presets[first])) if option.name not in omit]
     texts = {option.name: option.metadata["help"] for option in options} | dict(help or {})
 
     def parameter_of(option: _Option) -> inspect.Parameter:
@@ -70,6 +72,7 @@ def config_options(
         if default is None:
             kind = kind | None
         limits = {key: option.metadata[key] for key in ("min", "max", "metavar") if key in option.metadata}
+        limits["rich_help_panel"] = option.metadata.get("panel")
         flags = [option.metadata["flag"]] if "flag" in option.metadata else []
         offered: Any = {"autocompletion": (completion or {}).get(option.name), **_choices(option)}
         made: Any = Annotated[kind, typer.Option(*flags, help=texts[option.name], **{**limits, **offered})]
@@ -80,13 +83,14 @@ def config_options(
         parameters: list[inspect.Parameter] = []
         for parameter in signature.parameters.values():
             if parameter.name == "config":
-                parameters += [*map(parameter_of, options), _parameter("preset", preset, Preset)]
+                parameters += map(parameter_of, options)
+                parameters += [] if preset is None else [_parameter("preset", preset, Preset)]
             else:
                 parameters.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
 
         @functools.wraps(function)
         def called(**values: Any) -> None:
-            config = preset_config(dict(presets), values.pop("preset"))
+            config = preset_config(dict(presets), values.pop("preset", first))
             for option in options:
                 value = values.pop(option.name)
                 if value is not None:

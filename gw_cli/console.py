@@ -20,9 +20,9 @@ from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
 import typer
-from typer.core import TyperGroup
 
 from gw_cli import streams
+from gw_cli.help import HelpGroup
 from gw_cli.streams import shown
 from stages.shared.errors import GwError, StorageFailure, UsageProblem
 from stages.shared.memory import is_memory_error, memory_refusal
@@ -148,7 +148,7 @@ def _readable(value: Any) -> str:
     return str(value)
 
 
-class CommandTable(TyperGroup):
+class CommandTable(HelpGroup):
     """The commands; what cannot be parsed gets three lines like every other error."""
 
     def main(

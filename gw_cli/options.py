@@ -1,4 +1,4 @@
-"""Options that commands share, each said once."""
+"""Options that several commands have, and the parsing of their values."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Annotated, TypeVar
 import typer
 
 from gw_cli import completion
+from gw_cli.help import GENERAL
 from stages.shared.errors import UsageProblem
 
 Config = TypeVar("Config")
@@ -20,9 +21,25 @@ Subject = Annotated[
         help="Workspace folder of the subject.", metavar="SUBJECT", autocompletion=completion.subjects
     ),
 ]
-Json = Annotated[bool, typer.Option("--json", help="One JSON object a line on stdout; people's text off.")]
+Json = Annotated[
+    bool,
+    typer.Option(
+        "--json",
+        help="Print JSON objects on stdout, one per line, instead of text for people.",
+        rich_help_panel=GENERAL,
+    ),
+]
+Verbose = Annotated[
+    bool,
+    typer.Option("-v", "--verbose", help="Also print digests and long lists.", rich_help_panel=GENERAL),
+]
 DryRun = Annotated[
-    bool, typer.Option("--dry-run", help="Show inputs, outputs, configuration and cost; write nothing.")
+    bool,
+    typer.Option(
+        "--dry-run",
+        help="Show inputs, outputs, configuration and cost; write nothing.",
+        rich_help_panel=GENERAL,
+    ),
 ]
 
 
@@ -42,12 +59,18 @@ Preset = Annotated[
         help="tiny | draft | balanced | paper: how much to spend.",
         autocompletion=completion.presets,
         callback=known_preset,
+        rich_help_panel=GENERAL,
     ),
 ]
-Seed = Annotated[int, typer.Option(min=0, help="Seed of everything random.")]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of everything random.", rich_help_panel=GENERAL)]
 Device = Annotated[
     str,
-    typer.Option(help="auto | cpu | cuda.", autocompletion=completion.devices, callback=_known_device),
+    typer.Option(
+        help="auto | cpu | cuda.",
+        autocompletion=completion.devices,
+        callback=_known_device,
+        rich_help_panel=GENERAL,
+    ),
 ]
 Recompute = Annotated[
     bool,
@@ -57,9 +80,10 @@ Recompute = Annotated[
         "result in less memory, for about a third more time in the networks.",
     ),
 ]
-Force = Annotated[bool, typer.Option("--force", help="Do it again though it is up to date.")]
-
-
+Force = Annotated[
+    bool,
+    typer.Option("--force", help="Run the stage even if its result is up to date.", rich_help_panel=GENERAL),
+]
 FilmFolder = Annotated[Path, typer.Option("-o", "--output", help="Folder of film and frames.")]
 Betas = Annotated[str, typer.Option(help="Another body shape: up to ten numbers, 0.5,-1.2.")]
 FrameRate = Annotated[float, typer.Option(min=0, help="Frames per second; 0 keeps the motion's own.")]

@@ -11,6 +11,7 @@ from typing import Any
 import typer.main
 
 from gw_cli.app import app
+from gw_cli.help import default_text
 
 _HEADER = """# Commands
 
@@ -70,10 +71,8 @@ def _names(option: Any) -> str:
 
 
 def _default(option: Any) -> str:
-    value = option.default() if callable(option.default) else option.default
-    if value is None or value is False or value == "" or "Sentinel" in type(value).__name__:
-        return "required" if option.required else ""
-    return f"`{value if value is not True else option.opts[0]}`"
+    text = default_text(option)
+    return f"`{text}`" if text else "required" if option.required else ""
 
 
 def _cell(text: str) -> str:

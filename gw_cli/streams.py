@@ -43,6 +43,12 @@ def _escaped(letter: str) -> str:
     return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"
 
 
+def encodable(text: str) -> str:
+    """The text with what standard output's encoding does not have replaced."""
+    encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
+    return text.encode(encoding, "gw-ascii").decode(encoding)
+
+
 def write(name: str, text: str) -> None:
     """Write to the stream `stdout` or `stderr` and flush it; a reader that has gone is not an error."""
     stream: TextIO | None = getattr(sys, name)
@@ -77,7 +83,6 @@ def prepare() -> None:
             os.fstat(descriptor)
         except OSError:
             os.open(os.devnull, os.O_RDWR)
-    codecs.register_error("gw-ascii", _replaced)
     for name in ("stdout", "stderr"):
         stream: Any = getattr(sys, name)
         if stream is None:
@@ -108,3 +113,6 @@ def _silence(stream: TextIO) -> None:
         target = os.open(os.devnull, os.O_WRONLY)
         os.dup2(target, stream.fileno())
         os.close(target)
+
+
+codecs.register_error("gw-ascii", _replaced)

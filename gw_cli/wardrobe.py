@@ -9,22 +9,22 @@ import typer
 
 from gw_cli import completion
 from gw_cli.console import Console, command
+from gw_cli.help import CommandApp
 from gw_cli.inputs import check_poses
 from gw_cli.options import Json, Pixels
 
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The wardrobe: a folder of .gwg files.")]
 
 
-def register(app: typer.Typer) -> None:
-    group = typer.Typer(help="Keep bodies and garments in one folder.", no_args_is_help=True)
-    app.add_typer(group, name="wardrobe")
+def register(app: CommandApp) -> None:
+    group = app.add_group("wardrobe", "Keep bodies and garments in one folder.")
     _list(group)
     _add(group)
     _remove(group)
     _outfits(group)
 
 
-def _list(group: typer.Typer) -> None:
+def _list(group: CommandApp) -> None:
     @group.command("list")
     @command
     def list_(folder: Folder, as_json: Json = False) -> None:
@@ -65,7 +65,7 @@ def _list(group: typer.Typer) -> None:
         console.result(table)
 
 
-def _add(group: typer.Typer) -> None:
+def _add(group: CommandApp) -> None:
     @group.command("add")
     @command
     def add(
@@ -91,7 +91,7 @@ def _add(group: typer.Typer) -> None:
         console.result({"added": digests}, next_command=f"gw wardrobe list {folder}")
 
 
-def _remove(group: typer.Typer) -> None:
+def _remove(group: CommandApp) -> None:
     @group.command("remove")
     @command
     def remove(
@@ -107,7 +107,7 @@ def _remove(group: typer.Typer) -> None:
         Console(as_json).result({"removed": str(remove_piece(folder, name))})
 
 
-def _outfits(group: typer.Typer) -> None:
+def _outfits(group: CommandApp) -> None:
     @group.command("outfits")
     @command
     def outfits(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 
-import typer
+from gw_cli.help import CommandApp
 
 # Modules of this package; the order is the one `gw bench --help` shows.
 SUBCOMMANDS: tuple[str, ...] = (
@@ -15,15 +15,9 @@ SUBCOMMANDS: tuple[str, ...] = (
 )
 
 
-def register(app: typer.Typer) -> None:
-    bench = typer.Typer(
-        help="Measure the trade of speed for accuracy, and methods against each other.", no_args_is_help=True
+def register(app: CommandApp) -> None:
+    bench = app.add_group(
+        "bench", "Measure the trade of speed for accuracy on a capture, and methods against each other."
     )
-    app.add_typer(bench, name="bench")
-
-    @bench.callback()
-    def group() -> None:
-        """Measure the trade of speed for accuracy on a capture, and methods against each other."""
-
     for name in SUBCOMMANDS:
         importlib.import_module(f"gw_cli.bench.{name}").register(bench)

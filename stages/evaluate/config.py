@@ -33,13 +33,21 @@ class EvaluateConfig:
         SPLITS[:2],
         "Of novel-pose, novel-view, novel-both (test poses, held-out cameras). Default: what there is.",
         flag="--split",
+        panel="What is scored",
     )
-    methods: tuple[str, ...] = option(("trained", "baseline"), "Of trained, baseline, distilled.")
-    frame_step: int = option(5, "Novel views: step between training frames.", min=1)
-    test_frame_step: int = option(1, "Novel poses: step between test frames.", min=1)
-    cameras: int = option(0, "Largest number of cameras of each frame; 0 for all.", min=0)
+    methods: tuple[str, ...] = option(
+        ("trained", "baseline"), "Of trained, baseline, distilled.", panel="What is scored"
+    )
+    frame_step: int = option(5, "Novel views: step between training frames.", min=1, panel="What is scored")
+    test_frame_step: int = option(1, "Novel poses: step between test frames.", min=1, panel="What is scored")
+    cameras: int = option(
+        0, "Largest number of cameras of each frame; 0 for all.", min=0, panel="What is scored"
+    )
     training: str = option(
-        "", "Score this training (folder name in SUBJECT/train, or its start).", metavar="KEY"
+        "",
+        "Score this training (folder name in SUBJECT/train, or its start).",
+        metavar="KEY",
+        panel="What is scored",
     )
     pictures: int = 4
     supersampling: int = 2
@@ -47,9 +55,14 @@ class EvaluateConfig:
         "auto",
         "What moves garments in unseen poses: auto | bones | learned | simulated; by layer: "
         "lower=bones,upper=learned.",
+        panel="What is scored",
     )
     shard: str = option(
-        "", "Only the i-th of n parts of the frames, as 2/4; see below.", metavar="I/N", affects_result=False
+        "",
+        "Only the i-th of n parts of the frames, as 2/4; see below.",
+        metavar="I/N",
+        affects_result=False,
+        panel="What is scored",
     )
 
 

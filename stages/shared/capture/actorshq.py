@@ -19,9 +19,10 @@ import numpy as np
 from stages.shared.body.model import BodyModel
 from stages.shared.capture.calibration import checked_camera, positive_rate, refuse_unknown
 from stages.shared.capture.camera import Camera
-from stages.shared.capture.gather import MissingList, make_take, numbered_files, read_poses, view_files
+from stages.shared.capture.gather import make_take, read_poses
 from stages.shared.capture.rotation import rotation_of_axis_angle
-from stages.shared.capture.take import Capture, Split, Take, ViewFiles
+from stages.shared.capture.take import Capture, Split, Take
+from stages.shared.capture.view_files import CameraViews, MissingList, NumberedFiles, numbered_files
 from stages.shared.errors import BadData, MissingInput
 from stages.shared.input_files import read_json_object, read_text
 
@@ -175,16 +176,16 @@ def _has_files(folder: Path) -> bool:
     return folder.is_dir() and next(folder.iterdir(), None) is not None
 
 
-def _views_of_camera(folder: Path, name: str, missing: MissingList) -> dict[int, ViewFiles]:
+def _views_of_camera(folder: Path, name: str, missing: MissingList) -> CameraViews:
     quoted = re.escape(name)
     images = numbered_files(folder / "rgbs" / name, re.compile(rf"{quoted}_rgb(\d+)\.(?:jpg|jpeg|png)", re.I))
     masks = numbered_files(folder / "masks" / name, re.compile(rf"{quoted}_mask(\d+)\.(?:png|jpg)", re.I))
-    labels: dict[int, Path] = {}
+    labels = NumberedFiles(folder, {})
     for label_folder in _LABEL_FOLDERS:
         labels = labels or numbered_files(
             folder / label_folder / name, re.compile(r"label-f(\d+)\.png", re.I)
         )
-    return view_files(images, masks, labels, missing)
+    return CameraViews(images, masks, labels, missing)
 
 
 def _camera_split(

@@ -19,8 +19,9 @@ import numpy as np
 from stages.shared.body.model import BodyModel
 from stages.shared.capture.calibration import checked_camera, numbers, refuse_unknown
 from stages.shared.capture.camera import Camera
-from stages.shared.capture.gather import MissingList, make_take, numbered_files, read_poses, view_files
+from stages.shared.capture.gather import make_take, read_poses
 from stages.shared.capture.take import Capture
+from stages.shared.capture.view_files import CameraViews, MissingList, numbered_files
 from stages.shared.errors import BadData
 from stages.shared.input_files import read_json_object
 
@@ -50,7 +51,7 @@ class Layout:
         cameras = read_calibration_json(calibration)
         missing = MissingList.read(root)
         views = {
-            name: view_files(
+            name: CameraViews(
                 numbered_files(root / self.images.format(name), _PICTURE),
                 numbered_files(root / self.masks.format(name), _PICTURE),
                 numbered_files(root / self.labels.format(name), _LABELS),

@@ -17,11 +17,12 @@ from stages.shared.body.npz import NumericNpz
 from stages.shared.body.poses import Poses
 from stages.shared.capture.calibration import checked_camera, refuse_unknown
 from stages.shared.capture.camera import Camera
-from stages.shared.capture.gather import make_take, numbered_files, view_files
+from stages.shared.capture.gather import make_take
 from stages.shared.capture.image_files import check_picture
 from stages.shared.capture.images import read_bytes
 from stages.shared.capture.pickles import PickleReader, array_of, dictionary
 from stages.shared.capture.take import Capture, Split, Take
+from stages.shared.capture.view_files import CameraViews, numbered_files
 from stages.shared.errors import BadData, MissingInput, UsageProblem
 from stages.shared.poses.npz_layouts import read_pose_arrays
 
@@ -103,8 +104,7 @@ def _read_take(folder: Path, split: Split, pickles: PickleReader, body: BodyMode
         masks = numbered_files(place / "masks", re.compile(r"mask-f(\d+)\.png"))
         labels = numbered_files(place / "labels", re.compile(r"label-f(\d+)\.png"))
         cameras[name] = _camera(name, entry, images[min(images)], camera_path)
-        seen = view_files(images, masks, labels)
-        views[name] = {row[number]: view for number, view in seen.items() if number in row}
+        views[name] = CameraViews(images.renumbered(row), masks.renumbered(row), labels.renumbered(row))
     meshes = numbered_files(folder / "Meshes_pkl", re.compile(r"mesh-f(\d+)\.pkl"))
     scanned = [number for number in order if number in meshes]
     return make_take(

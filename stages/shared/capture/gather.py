@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -14,87 +13,10 @@ from stages.shared.body.npz import NumericNpz
 from stages.shared.body.poses import MAX_FRAMES, Poses
 from stages.shared.body.skeleton import EXPRESSION_COUNT, JOINT_COUNT, SHAPE_COUNT
 from stages.shared.capture.camera import Camera
-from stages.shared.capture.take import Split, Take, ViewFiles
+from stages.shared.capture.take import Split, Take
+from stages.shared.capture.view_files import CameraViews, TakeViews
 from stages.shared.errors import BadData, MissingInput
-from stages.shared.input_files import read_text
 from stages.shared.poses.npz_layouts import read_pose_arrays, stated_fps
-
-MISSING_LIST = "missing_img_files.txt"
-_MAX_NAMES = 1_000_000
-
-
-def numbered_files(folder: Path, pattern: re.Pattern[str]) -> dict[int, Path]:
-    """Frame number (group 1 of `pattern`, for the whole name) to file; empty without a folder."""
-    found: dict[int, Path] = {}
-    if not folder.is_dir():
-        return found
-    for path in folder.iterdir():
-        match = pattern.fullmatch(path.name)
-        if not match or len(match.group(1)) > 9:
-            continue
-        frame = int(match.group(1))
-        if frame in found:
-            raise BadData(
-                f"Two files are of frame {frame}.",
-                f"{folder}: {found[frame].name} and {path.name}",
-                "Remove the one that is not meant.",
-            )
-        found[frame] = path
-        if len(found) > _MAX_NAMES:
-            raise BadData("The folder holds more than a million frames.", str(folder), "Split the capture.")
-    return found
-
-
-class MissingList:
-    """Images and masks that `missing_img_files.txt` says are not there or not to be used.
-
-    Attributes:
-        listed: path to whether a file of that path was left out.
-    """
-
-    def __init__(self, path: Path, listed: Iterable[Path] = ()) -> None:
-        self._path = path
-        self.listed = dict.fromkeys(listed, False)
-
-    @classmethod
-    def read(cls, folder: Path) -> MissingList:
-        """The list in a folder, one path a line, relative to the folder; it may be absent."""
-        path = folder / MISSING_LIST
-        if not path.is_file():
-            return cls(path)
-        lines = read_text(path, "a list of images", errors="replace").splitlines()
-        names = (line.strip().replace("\\", "/") for line in lines)
-        return cls(path, [folder / name for name in names if name and not name.startswith("#")])
-
-    def leaves_out(self, *paths: Path) -> bool:
-        """Whether one of the files is listed."""
-        here = [path for path in paths if path in self.listed]
-        self.listed.update(dict.fromkeys(here, True))
-        return bool(here)
-
-    def notes(self) -> list[str]:
-        """A sentence about entries that no file was left out for; call it when all views were asked for."""
-        unmatched = [path.name for path, met in self.listed.items() if not met]
-        if not unmatched:
-            return []
-        return [
-            f"{len(unmatched)} of {len(self.listed)} entries of {MISSING_LIST} match no image with a mask, "
-            f"such as {unmatched[0]}."
-        ]
-
-
-def view_files(
-    images: Mapping[int, Path],
-    masks: Mapping[int, Path],
-    labels: Mapping[int, Path],
-    missing: MissingList | None = None,
-) -> dict[int, ViewFiles]:
-    """The views of one camera that have both image and mask, less those that are listed as missing."""
-    return {
-        frame: ViewFiles(image, masks[frame], labels.get(frame))
-        for frame, image in images.items()
-        if frame in masks and (missing is None or not missing.leaves_out(image, masks[frame]))
-    }
 
 
 def read_poses(path: Path, body: BodyModel | None, fps: float | None, usual_fps: float) -> Poses | float:
@@ -127,7 +49,7 @@ def make_take(
     cameras: Mapping[str, Camera],
     training: Iterable[str],
     heldout: Iterable[str],
-    views: Mapping[str, Mapping[int, ViewFiles]],
+    views: Mapping[str, CameraViews],
     poses: Poses | float,
     folder: Path,
     calibration_files: Iterable[Path],
@@ -177,10 +99,8 @@ def make_take(
             f"{folder} ({name}: {len(somewhere)} frames with images, {len(poses)} poses)",
             "Check that frame numbers of images, masks and poses agree.",
         )
-    labelled = [camera for camera in training if any(view.labels for view in views[camera].values())]
-    if not labelled:
+    if not any(views[camera].labelled for camera in training):
         remarks.append("there are no label images.")
-    all_views = {(camera, frame): view for camera in cameras for frame, view in views.get(camera, {}).items()}
     return Take(
         name=name,
         split=split,
@@ -189,7 +109,7 @@ def make_take(
         heldout_cameras=heldout,
         frames=frames,
         poses=poses,
-        views=all_views,
+        views=TakeViews({camera: views[camera] for camera in cameras if camera in views}),
         calibration_files=tuple(calibration_files),
         pose_files=tuple(pose_files),
         scan=scan,

@@ -16,8 +16,9 @@ from stages.shared.capture.calibration import (
     whole_number,
 )
 from stages.shared.capture.camera import Camera
-from stages.shared.capture.gather import MissingList, make_take, numbered_files, read_poses, view_files
+from stages.shared.capture.gather import make_take, read_poses
 from stages.shared.capture.take import Capture, Take
+from stages.shared.capture.view_files import CameraViews, MissingList, numbered_files
 from stages.shared.errors import BadData
 from stages.shared.input_files import read_json_object
 
@@ -86,7 +87,7 @@ def _read_take(root: Path, entry: Any, shared: Path, path: Path, body: BodyModel
     cameras, heldout = read_cameras(camera_path)
     missing = MissingList.read(folder)
     views = {
-        camera: view_files(
+        camera: CameraViews(
             numbered_files(folder / "rgb" / camera, _FRAME),
             numbered_files(folder / "masks" / camera, _FRAME),
             numbered_files(folder / "labels" / camera, re.compile(r"(\d+)\.png", re.IGNORECASE)),

@@ -15,6 +15,7 @@ from stages.shared.capture.camera import Box, Camera
 from stages.shared.capture.images import check_size, read_image, read_mask
 from stages.shared.capture.labels import read_labels
 from stages.shared.capture.pickled_scan import read_scan
+from stages.shared.capture.view_files import TakeViews, ViewFiles
 from stages.shared.errors import BadData, MissingInput, UsageProblem
 from stages.shared.meshes.load import load_mesh
 from stages.shared.meshes.mesh import Mesh
@@ -23,15 +24,6 @@ Split = Literal["train", "test"]
 GROUPS: Final = ("cameras", "poses", "images", "masks", "labels", "scan", "body")
 MASK_THRESHOLD: Final = 127  # coverage 0..255 above which a pixel shows the person
 _Image = NDArray[np.uint8]
-
-
-@dataclass(frozen=True)
-class ViewFiles:
-    """Where the picture of one frame by one camera is."""
-
-    image: Path
-    mask: Path
-    labels: Path | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +52,7 @@ class Take:
     heldout_cameras: tuple[str, ...]
     frames: list[int]
     poses: Poses
-    views: Mapping[tuple[str, int], ViewFiles]
+    views: TakeViews
     calibration_files: tuple[Path, ...] = ()
     pose_files: tuple[Path, ...] = ()
     scan: Path | None = None
@@ -221,12 +213,13 @@ class Capture:
         elif group == "scan":
             found = {take.scan for take in takes if take.scan}
         elif group in ("images", "masks", "labels"):
-            name = {"images": "image", "masks": "mask", "labels": "labels"}[group]
-            found = set()
-            for take in takes:
-                frames = set(take.frames)
-                found |= {getattr(view, name) for (_, frame), view in take.views.items() if frame in frames}
-            found.discard(None)
+            found = {
+                files[frame]
+                for take in takes
+                for views in take.views.cameras.values()
+                for frame in take.frames
+                if frame in views and frame in (files := getattr(views, group))
+            }
         else:
             raise ValueError(f"no group of files is called {group!r}; there are {GROUPS}")
         return sorted(found)

@@ -20,7 +20,7 @@ FIT_CLOTH = StageSpec(
     "fit-cloth",
     "gw fit-cloth SUBJECT",
     ("register-template", "segment-layers", "bake-maps", "train"),
-    code_version=3,
+    code_version=4,
 )
 
 PIPELINE: tuple[StageSpec, ...] = (REGISTER_TEMPLATE, CANONICALIZE, SEGMENT_LAYERS, BAKE_MAPS, TRAIN)

@@ -10,18 +10,20 @@ ACROSS = 0.7  # an open surface touches only what lies across it: |normal distan
 ACROSS_BODY = 0.3  # the same for a body, which is cut off at the head and the fingers
 DEEPEST_BENEATH_CLOTH = 0.025  # metres; deeper beneath a garment is another place, not a contact
 LARGEST_PUSH = 0.01  # metres a vertex is moved out in one step
+SAME_WAY = 0.0  # cosine between the normals of cloth and of the garment beneath that it may touch
 _MOST_STEPS = 6  # faces that a vertex may walk over within a substep
 _ALERT_SPEED = 2.0  # m/s by which cloth and surface may speed up while a far vertex is not looked at
 _LONGEST_WAIT = 8  # substeps for which a far vertex is not looked at
 
 
 @inlined
-def push_out(positions, previous, velocities, inverse_mass, surfaces, s, wait, begin, end, step):  # type: ignore[no-untyped-def]
+def push_out(positions, previous, velocities, facing, inverse_mass, surfaces, s, wait, begin, end, step):  # type: ignore[no-untyped-def]
     """Keep the cloth outside surface `s`; slow down its sliding by friction.
 
     Arguments:
         positions, previous: (V, 3) at the end and at the start of the substep; both change.
         velocities: (V, 3) at the start of the substep.
+        facing: (V, 3) unit normals of the cloth at the start of the frame.
         surfaces: Surfaces; begin, end: where the substep lies within the frame, 0 to 1.
         wait: (S, V) substeps for which a vertex is too far away to arrive.
         step: seconds.
@@ -56,8 +58,12 @@ def push_out(positions, previous, velocities, inverse_mass, surfaces, s, wait, b
             continue
         if distance > margin and abs(depth) < (ACROSS_BODY if closed else ACROSS) * distance:
             continue
-        if not closed and depth < -DEEPEST_BENEATH_CLOTH:
-            continue
+        if not closed:
+            if depth < -DEEPEST_BENEATH_CLOTH:
+                continue
+            # The underside of a fold faces the wrong way: it would pull the cloth into the fold.
+            if facing[i, 0] * nx + facing[i, 1] * ny + facing[i, 2] * nz < SAME_WAY:
+                continue
         push = min(margin - depth, LARGEST_PUSH)
         part = end - begin
         _respond(positions, previous, i, push, friction, nx, ny, nz, part * dx, part * dy, part * dz)

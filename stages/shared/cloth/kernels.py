@@ -45,6 +45,8 @@ def advance_frame(  # type: ignore[no-untyped-def]
     step = seconds / substeps
     previous = np.empty_like(positions)
     normals = np.empty_like(positions)
+    facing = np.empty_like(positions)
+    _face_normals(positions, cloth.faces, facing)
     wait = np.zeros(surfaces.seeds.shape, dtype=np.int32)
     for number in range(substeps):
         begin, end = number / substeps, (number + 1) / substeps
@@ -59,7 +61,19 @@ def advance_frame(  # type: ignore[no-untyped-def]
         if repulsion > 0.0:
             _repel(positions, previous, pairs, cloth.inverse_mass, repulsion)
         for s in range(len(surfaces.closed)):
-            push_out(positions, previous, velocities, cloth.inverse_mass, surfaces, s, wait, begin, end, step)
+            push_out(
+                positions,
+                previous,
+                velocities,
+                facing,
+                cloth.inverse_mass,
+                surfaces,
+                s,
+                wait,
+                begin,
+                end,
+                step,
+            )
         for i in range(len(positions)):
             for c in range(3):
                 velocities[i, c] = (positions[i, c] - previous[i, c]) / step

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.shared.cloth.constraints import Constraints, area_normals
-from stages.shared.cloth.contact import ACROSS, ACROSS_BODY, DEEPEST_BENEATH_CLOTH, LARGEST_PUSH
+from stages.shared.cloth.contact import ACROSS, ACROSS_BODY, DEEPEST_BENEATH_CLOTH, LARGEST_PUSH, SAME_WAY
 from stages.shared.cloth.material import STRAIN_LIMIT, Material
 from stages.shared.cloth.surface import Moving
 
@@ -38,6 +38,7 @@ def reference_frame(
     x, v = positions.copy(), velocities.copy()
     step = seconds / substeps
     free = cloth.inverse_mass > 0
+    facing = area_normals(x, cloth.faces)
     for number in range(substeps):
         end = (number + 1) / substeps
         before = x.copy()
@@ -54,7 +55,7 @@ def reference_frame(
             _repel(x, before, cloth.inverse_mass, pair, material.repulsion)
         for surface, margins in surfaces:
             for i in np.flatnonzero(free):
-                _touch(x, before, int(i), surface, float(margins[i]), end, 1.0 / substeps)
+                _touch(x, before, facing[i], int(i), surface, float(margins[i]), end, 1.0 / substeps)
         v = (x - before) / step
     return x, v
 
@@ -103,7 +104,14 @@ def _repel(x: Doubles, before: Doubles, w: Doubles, pair: tuple[int, int], least
 
 
 def _touch(
-    x: Doubles, before: Doubles, i: int, moving: Moving, margin: float, end: float, part: float
+    x: Doubles,
+    before: Doubles,
+    facing: Doubles,
+    i: int,
+    moving: Moving,
+    margin: float,
+    end: float,
+    part: float,
 ) -> None:
     surface = moving.surface
     now = moving.before + end * (moving.after - moving.before)
@@ -119,7 +127,7 @@ def _touch(
     across = ACROSS_BODY if surface.closed else ACROSS
     if depth >= margin or (distance > margin and abs(depth) < across * distance):
         return
-    if not surface.closed and depth < -DEEPEST_BENEATH_CLOTH:
+    if not surface.closed and (depth < -DEEPEST_BENEATH_CLOTH or facing @ normal < SAME_WAY):
         return
     push = min(margin - depth, LARGEST_PUSH)
     x[i] += push * normal

@@ -49,6 +49,21 @@ def test_a_frame_equals_the_reference(closed: bool) -> None:
     np.testing.assert_allclose(speed, slow_speed, atol=1e-6)
 
 
+@pytest.mark.parametrize("upright", [True, False])
+def test_a_surface_that_faces_the_other_way_does_not_hold_cloth(upright: bool) -> None:
+    """It is the underside of a fold of the garment beneath, and would pull cloth into the fold."""
+    one = sheet(5, 5, 0.05, SOFT)
+    floor, faces = grid(9, 9, 0.05)
+    floor = floor - [0.1, 0.0, 0.1]
+    surface = Surface(faces if upright else faces[:, ::-1], len(floor), closed=False, friction=0.0)
+    simulator = Simulator(surface, [one])
+    simulator.place(floor, [one.vertices + [0.0, 0.004, 0.0]])
+    for _ in range(6):
+        simulator.advance(floor, simulator.pins, 1 / 30)
+    height = simulator.states[0].positions[:, 1]
+    assert (height > 0.007).all() if upright else (height < -0.1).all()
+
+
 def test_nearest_points_of_triangles_match_dense_sampling() -> None:
     draw = np.random.default_rng(2)
     corners = draw.normal(size=(20, 3, 3))

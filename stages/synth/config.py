@@ -18,8 +18,7 @@ class SynthConfig:
         test_images: frames of the held-out take that have images.
         test_stride: simulated frames from one held-out image to the next.
         cloth_spacing: distance of neighbouring cloth vertices, metres.
-        substeps: cloth steps per frame of 1/30 s.
-        settle_frames: frames in which the garments fall into place before frame 0.
+        substeps: cloth simulation steps per frame of 1/30 s.
         ambient_rays: rays per vertex for soft shadows; 0 leaves them out.
         jpeg: images as JPEG (quality 95) instead of PNG.
         seed: of everything random.
@@ -33,8 +32,7 @@ class SynthConfig:
     test_images: int = 10
     test_stride: int = 8
     cloth_spacing: float = 0.017
-    substeps: int = 20
-    settle_frames: int = 45
+    substeps: int = 60
     ambient_rays: int = 24
     jpeg: bool = True
     seed: int = 0
@@ -49,8 +47,7 @@ PRESETS: dict[str, SynthConfig] = {
         test_images=2,
         test_stride=15,
         cloth_spacing=0.036,
-        substeps=12,
-        settle_frames=24,
+        substeps=30,
         ambient_rays=0,
     ),
     "draft": SynthConfig(),

@@ -22,13 +22,13 @@ class Cut:
         vertices: (V, 3) f64 metres.
         faces: (F, 3) i64.
         corner_uv: (F, 3, 2) f64 metres.
-        pinned: (V,) f64, 0 free … 1 moves with the bones.
+        pinned: (V,) vertices that move with the bones.
     """
 
     vertices: Doubles
     faces: NDArray[np.int64]
     corner_uv: Doubles
-    pinned: Doubles
+    pinned: NDArray[np.bool_]
 
 
 def t_shirt(mean: ShapedBody, spacing: float) -> Cut:
@@ -49,8 +49,7 @@ def t_shirt(mean: ShapedBody, spacing: float) -> Cut:
 
     grid = _grid(mean, (-sleeve - 0.05, hem - 0.05, -0.32), (sleeve + 0.05, neck[1] + 0.16, 0.34), spacing)
     vertices, faces = shell(grid, offset, outside)
-    near_neck = np.linalg.norm((vertices - throat) * (1.0, 0.85, 1.0), axis=1)
-    pinned = np.clip(1.0 - (near_neck - 0.092) / 0.02, 0.0, 1.0) * 0.6
+    pinned = np.zeros(len(vertices), dtype=bool)  # it hangs from the shoulders
     return Cut(vertices, faces, _torso_uv(vertices, faces, mean, shoulder[0] - 0.012), pinned)
 
 
@@ -79,7 +78,7 @@ def open_vest(mean: ShapedBody, spacing: float) -> Cut:
     grid = _grid(mean, (-wide, hem - 0.06, -0.34), (wide, neck[1] + 0.16, 0.36), spacing)
     vertices, faces = shell(grid, offset, outside)
     near_neck = np.linalg.norm((vertices - throat) * (1.0, 0.85, 1.0), axis=1)
-    pinned = np.clip(1.0 - (near_neck - 0.108) / 0.04, 0.0, 1.0) * 0.6
+    pinned = (near_neck < 0.12) & (vertices[:, 2] < neck[2])  # the back of the collar
     return Cut(vertices, faces, _torso_uv(vertices, faces, mean, np.inf), pinned)
 
 
@@ -97,7 +96,7 @@ def trousers(mean: ShapedBody, spacing: float) -> Cut:
 
     grid = _grid(mean, (-0.42, bottom - 0.05, -0.28), (0.42, top + 0.05, 0.32), spacing)
     vertices, faces = shell(grid, offset, outside)
-    pinned = np.clip(1.0 - (top - vertices[:, 1]) / 0.03, 0.0, 1.0)
+    pinned = vertices[:, 1] > top - 0.015
     return Cut(vertices, faces, _leg_uv(vertices, faces, mean), pinned)
 
 

@@ -12,7 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.shared.cloth.material import Material
 from stages.shared.layers import LAYER_OF_LABEL, label_of
+from stages.shared.meshes import RayScene, face_normals
 from stages.synth.bodies import ShapedBody
 from stages.synth.fitted_garments import (
     Cut,
@@ -25,6 +27,11 @@ from stages.synth.textures import ARGYLE, CHECKS, DOTS, STRIPES, TARTAN, Fabric
 from stages.synth.transfer_attributes import transfer_attributes
 
 Doubles = NDArray[np.float64]
+
+# Other materials than those that `gw fit-cloth` tries, so that a driver never has the truth's own settings.
+JERSEY = Material(density=0.15, edge_stiffness=800.0, bending=4e-6, bending_damping=0.03, drag=1.6)
+TWILL = Material(density=0.24, edge_stiffness=2500.0, bending=2e-5, bending_damping=0.04, drag=1.6)
+WOOL = Material(density=0.3, edge_stiffness=2500.0, bending=1e-5, bending_damping=0.03, drag=1.6)
 
 UPPER, LOWER, OUTER = label_of("upper"), label_of("lower"), label_of("outer")
 
@@ -40,8 +47,9 @@ class Garment:
         faces: (F, 3) i64, normals away from the body.
         corner_uv: (F, 3, 2) f64 metres, texture coordinates per triangle corner.
         skin_weights: (V, 55) f64 of the nearest body surface.
-        pinned: (V,) f64, 0 free … 1 moves with the bones.
+        pinned: (V,) vertices that move with the bones.
         fabric: the pattern.
+        material: mechanical properties.
         distance: metres kept from the body; outer layers keep more.
     """
 
@@ -51,8 +59,9 @@ class Garment:
     faces: NDArray[np.int64]
     corner_uv: Doubles
     skin_weights: Doubles
-    pinned: Doubles
+    pinned: NDArray[np.bool_]
     fabric: Fabric
+    material: Material
     distance: float
 
     @property
@@ -69,6 +78,7 @@ class Pattern:
     label: int
     cut: Cut
     fabric: Fabric
+    material: Material
     distance: float
 
 
@@ -87,22 +97,31 @@ def wardrobe(mean: ShapedBody, spacing: float, seed: int) -> tuple[list[Pattern]
     shirt = t_shirt(mean, spacing)
     badge = Fabric(STRIPES, striped.period, striped.colors, (0.055, float(mean.joints[9, 1]) + 0.10, 0.042))
     first = [
-        Pattern("flared skirt", LOWER, flared_skirt(mean, spacing, tartan.period, ripple), tartan, 0.005),
-        Pattern("striped T-shirt", UPPER, shirt, badge, 0.006),
+        Pattern(
+            "flared skirt", LOWER, flared_skirt(mean, spacing, tartan.period, ripple), tartan, TWILL, 0.005
+        ),
+        Pattern("striped T-shirt", UPPER, shirt, badge, JERSEY, 0.006),
     ]
     second = [
-        Pattern("trousers", LOWER, trousers(mean, spacing), checked, 0.005),
-        Pattern("dotted T-shirt", UPPER, shirt, dotted, 0.006),
-        Pattern("open vest", OUTER, open_vest(mean, spacing), argyle, 0.012),
+        Pattern("trousers", LOWER, trousers(mean, spacing), checked, TWILL, 0.005),
+        Pattern("dotted T-shirt", UPPER, shirt, dotted, JERSEY, 0.006),
+        Pattern("open vest", OUTER, open_vest(mean, spacing), argyle, WOOL, 0.012),
     ]
     return first, second
 
 
 def fit(pattern: Pattern, mean: ShapedBody, wearer: ShapedBody) -> Garment:
-    """Grade a pattern to the wearer: add the body's shape offsets, carried over and smoothed."""
+    """Grade a pattern to the wearer: add the body's shape offsets, carried over and smoothed.
+
+    Pinned vertices that come too near to the body are moved out: nothing else keeps them off it later.
+    """
     cut = pattern.cut
     offsets = wearer.rest_vertices - mean.rest_vertices
     moved = cut.vertices + transfer_attributes(cut.vertices, cut.faces, mean, offsets)
+    closest, face, _ = RayScene(wearer.rest_vertices, wearer.faces).closest(moved[cut.pinned])
+    normals = face_normals(wearer.rest_vertices, wearer.faces)[0][face]
+    height = ((moved[cut.pinned] - closest) * normals).sum(axis=1, keepdims=True)
+    moved[cut.pinned] += np.maximum(pattern.distance - height, 0.0) * normals
     weights = transfer_attributes(cut.vertices, cut.faces, mean, mean.weights)
     weights = np.maximum(weights, 0.0)
     return Garment(
@@ -114,5 +133,6 @@ def fit(pattern: Pattern, mean: ShapedBody, wearer: ShapedBody) -> Garment:
         weights / weights.sum(axis=1, keepdims=True),
         cut.pinned,
         pattern.fabric,
+        pattern.material,
         pattern.distance,
     )

@@ -45,10 +45,8 @@ def flared_skirt(mean: ShapedBody, spacing: float, repeat: float, phase: float) 
     u = around * np.arange(columns + 1) / columns
     down = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(heights), np.diff(radius.mean(axis=1))))])
     faces, corner_uv = _tube(rings, columns, u, -down)
-    pinned = np.zeros((rings, columns))
-    pinned[0] = 1.0
-    pinned[1] = 0.5
-    return Cut(vertices, faces, corner_uv, pinned.ravel())
+    pinned = np.arange(rings * columns) < columns  # the waist
+    return Cut(vertices, faces, corner_uv, pinned)
 
 
 def _fitted_radius(

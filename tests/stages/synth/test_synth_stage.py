@@ -32,7 +32,6 @@ MICRO = SynthConfig(
     test_stride=2,
     cloth_spacing=0.05,
     substeps=8,
-    settle_frames=6,
     ambient_rays=4,
     jpeg=False,
 )

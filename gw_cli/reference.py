@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,20 +16,50 @@ from gw_cli.help import default_text
 
 _HEADER = """# Commands
 
-Made from the commands' own help by `make docs`; a test fails when this page is out of date. Every command
-also has `-h`, and ends with 0 done, 2 usage, 65 bad data, 66 missing input, 70 a bug of gw, 74 disk, 75
-locked, 130 interrupted. With `--json`, stdout has one JSON object a line, the last one `{"result": {...}}`.
+`make docs` writes this page from the help of the commands. A test fails when it is out of date.
+
+Exit codes: 0 done, 2 usage, 65 bad data, 66 missing input, 70 a bug of gw, 74 disk, 75 locked,
+130 interrupted.
+With `--json`, stdout has one JSON object per line. The last one is `{"result": {...}}`.
 """
+_SHARED = 5
+"""An option that this many commands have with the same help is explained once."""
 
 
 def page() -> str:
     """Markdown of all commands, in the order of `gw --help`."""
     root: Any = typer.main.get_command(app)
-    sections = [_section(f"gw {name}", command) for name, command in _leaves(root)]
+    commands = list(_leaves(root))
+    shared = _shared_options([command for _, command in commands])
     contents = [
-        f"- [`gw {name}`](#gw-{name.replace(' ', '-')}): {_first(command)}" for name, command in _leaves(root)
+        f"- [`gw {name}`](#gw-{name.replace(' ', '-')}): {_first(command)}" for name, command in commands
     ]
-    return "\n".join([_HEADER, *contents, "", *sections])
+    sections = [_section(f"gw {name}", command, shared) for name, command in commands]
+    return "\n".join([_HEADER, *contents, "", _shared_section(shared), *sections])
+
+
+def _options(command: Any) -> list[Any]:
+    return [p for p in command.params if p.param_type_name == "option" and p.name != "help"]
+
+
+def _shared_options(commands: list[Any]) -> dict[tuple[str, str], str]:
+    """(names, help) of options that many commands have, with the name that stands for them."""
+    counts = Counter(
+        (_names(option), option.help or "") for command in commands for option in _options(command)
+    )
+    return {key: key[0].split(", ")[0] for key, count in counts.items() if count >= _SHARED}
+
+
+def _shared_section(shared: dict[tuple[str, str], str]) -> str:
+    lines = [
+        "## Options of many commands",
+        "",
+        "| option | |",
+        "| --- | --- |",
+        "| `-h`, `--help` | Show the help. |",
+    ]
+    lines += [f"| {names} | {_cell(text)} |" for names, text in shared]
+    return "\n".join([*lines, ""])
 
 
 def _leaves(group: Any, before: str = "") -> Iterator[tuple[str, Any]]:
@@ -39,9 +70,8 @@ def _leaves(group: Any, before: str = "") -> Iterator[tuple[str, Any]]:
             yield f"{before}{name}", command
 
 
-def _section(title: str, command: Any) -> str:
+def _section(title: str, command: Any, shared: dict[tuple[str, str], str]) -> str:
     arguments = [p for p in command.params if p.param_type_name == "argument"]
-    options = [p for p in command.params if p.param_type_name == "option" and p.name != "help"]
     words = " ".join(_place(argument) for argument in arguments)
     lines = [f"## {title}", "", f"    {title} {words} [OPTIONS]".replace("  [", " ["), ""]
     lines += [inspect.cleandoc(command.help or ""), ""]
@@ -49,12 +79,18 @@ def _section(title: str, command: Any) -> str:
         lines += ["| argument | |", "| --- | --- |"]
         lines += [f"| `{_cell(_place(argument))}` | {_cell(argument.help or '')} |" for argument in arguments]
         lines.append("")
-    if options:
-        lines += ["| option | | default |", "| --- | --- | --- |"]
-        lines += [
-            f"| {_names(option)} | {_cell(option.help or '')} | {_default(option)} |" for option in options
-        ]
-        lines.append("")
+    special, common = [], []
+    for option in _options(command):
+        name = shared.get((_names(option), option.help or ""))
+        default = _default(option)
+        if name:
+            common.append(f"{name} ({default})" if default else name)
+        else:
+            special.append(f"| {_names(option)} | {_cell(option.help or '')} | {default} |")
+    if special:
+        lines += ["| option | | default |", "| --- | --- | --- |", *special, ""]
+    if common:
+        lines += [f"[Also](#options-of-many-commands): {', '.join(common)}.", ""]
     return "\n".join(lines)
 
 

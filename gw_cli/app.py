@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import importlib
 import os
+import sys
 from typing import Annotated
 
 import typer
 
 from gw_cli import streams
-from gw_cli.console import CommandTable
+from gw_cli.console import CommandTable, say_interrupted
 from gw_cli.help import CommandApp
 
 # Torch reads this when it loads. Without it, torch's idle threads spin for milliseconds after every operation
@@ -82,4 +83,9 @@ for _panel, _modules in COMMANDS.items():
 def main() -> None:
     """Entry point of the command `gw`."""
     streams.prepare()
-    app()
+    try:
+        app()
+    except KeyboardInterrupt:  # while the commands were being put together
+        sys.exit(say_interrupted())
+    finally:
+        streams.ignore_signals()

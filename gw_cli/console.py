@@ -173,7 +173,7 @@ class CommandTable(HelpGroup):
             _print_three_lines(error)
             status = error.exit_code
         except KeyboardInterrupt:
-            status = _say_interrupted()
+            status = say_interrupted()
         except OSError:  # the help could not be written: the reader has left, or the disk is full
             status = StorageFailure.exit_code
         sys.exit(streams.exit_code(status if isinstance(status, int) else 0))
@@ -197,7 +197,8 @@ def _print_three_lines(error: GwError) -> None:
     )
 
 
-def _say_interrupted() -> int:
+def say_interrupted() -> int:
+    """Print one line for Ctrl-C and SIGTERM; returns the exit code."""
     streams.write("stderr", "interrupted; finished artifacts are kept, the same command goes on from here\n")
     return INTERRUPTED
 
@@ -218,7 +219,7 @@ def command(function: Command) -> Command:
         except GwError as error:
             fail(error)
         except KeyboardInterrupt:
-            raise typer.Exit(_say_interrupted()) from None
+            raise typer.Exit(say_interrupted()) from None
         except (typer.Exit, typer.Abort):
             raise
         except BrokenPipeError:

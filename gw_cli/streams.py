@@ -94,6 +94,13 @@ def prepare() -> None:
         signal.signal(signal.SIGTERM, _interrupt)
 
 
+def ignore_signals() -> None:
+    """Ignore SIGTERM and Ctrl-C while the interpreter ends: the command is done, its exit code stays."""
+    with contextlib.suppress(ValueError):  # not in the main thread
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, signal.SIG_IGN)
+
+
 def _interrupt(number: int, frame: Any) -> None:
     signal.signal(number, signal.SIG_DFL)  # a second one ends the process at once
     raise KeyboardInterrupt

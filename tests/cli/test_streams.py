@@ -123,6 +123,43 @@ def test_both_signals_end_a_command_alike(number: signal.Signals) -> None:
     assert process.returncode == 130 and said.startswith("interrupted; ") and len(said.splitlines()) == 1
 
 
+def ended_by_sigterm(code: str) -> subprocess.CompletedProcess[str]:
+    """The outcome of Python code that gets SIGTERM as soon as it has printed a line."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", code],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=REPOSITORY,
+    )
+    assert process.stdout is not None and process.stdout.readline()
+    process.send_signal(signal.SIGTERM)
+    output, said = process.communicate(timeout=30)
+    return subprocess.CompletedProcess("gw", process.returncode, output, said)
+
+
+def test_a_signal_while_the_commands_are_put_together_is_an_interrupt() -> None:
+    outcome = ended_by_sigterm(
+        "import gw_cli.app as a, time\n"
+        "def slow():\n    print('ready', flush=True)\n    time.sleep(30)\n"
+        "a.app = slow; a.main()\n"
+    )
+    assert outcome.returncode == 130 and outcome.stderr.startswith("interrupted; ")
+    assert len(outcome.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize(("words", "code"), [("--help", 0), ("inspect none.gwg", 66), ("nonsense", 2)])
+def test_a_signal_while_the_interpreter_ends_leaves_the_exit_code(words: str, code: int) -> None:
+    outcome = ended_by_sigterm(
+        "import atexit, sys, time, gw_cli.app as a\n"
+        "def last():\n    sys.stdout = sys.__stdout__\n    print('ready', flush=True)\n    time.sleep(0.5)\n"
+        "atexit.register(last)\n"
+        f"sys.argv = ['gw', *{words.split()!r}]\n"
+        "import io; sys.stdout = io.StringIO(); a.main()\n"
+    )
+    assert outcome.returncode == code and "Traceback" not in outcome.stderr
+
+
 def _app_that_raises(error: BaseException) -> typer.Typer:
     app = typer.Typer()
 

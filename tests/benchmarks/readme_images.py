@@ -63,5 +63,7 @@ def main(
     console.result({"frames": len(frames), "bytes": (output / "tryon.webp").stat().st_size})
 
 
+app = application(main)
+
 if __name__ == "__main__":
-    application(main)()
+    app()

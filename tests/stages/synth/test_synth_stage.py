@@ -220,9 +220,12 @@ def test_the_inner_truth_is_subject_2_without_the_vest(made: stage.SynthResult) 
     assert revealed > 50, "the shirt shows where the vest was"
 
 
-def test_the_same_seed_gives_the_same_files(tmp_path: Path) -> None:
+def test_the_same_seed_gives_the_same_files_for_any_number_of_threads(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     digests = []
-    for name, seed in (("one", 7), ("two", 7), ("three", 8)):
+    for name, seed, threads in (("one", 7, 2), ("two", 7, 1), ("three", 8, 2)):
+        monkeypatch.setattr(stage, "WORKERS", threads)
         stage.run(tmp_path / name, SynthConfig(**{**MICRO.__dict__, "seed": seed}))
         total = hashlib.sha256()
         for path in sorted((tmp_path / name).rglob("*")):

@@ -45,8 +45,8 @@ def register(bench: typer.Typer) -> None:
         """
         from stages.evaluate.config import EvaluateConfig
         from stages.shared.artifacts.files import make_folders, write_whole
-        from stages.workflows.paper.rows import own_rows
         from stages.workflows.paper.tables import markdown, tables
+        from stages.workflows.paper.trainings import own_rows
 
         console = Console(as_json)
         config = EvaluateConfig(

@@ -1,7 +1,8 @@
-"""The picture of the trade: PSNR and SSIM against frames per second, as a page with SVG and as a PNG."""
+"""Charts of the trade-off (PSNR and SSIM against frames per second), their page, and the table."""
 
 from __future__ import annotations
 
+import base64
 import html
 import math
 from collections.abc import Sequence
@@ -10,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.shared.artifacts.pictures import encode_png
 from stages.workflows.tradeoff.front import OperatingPoint
 
 _WIDTH, _HEIGHT, _MARGIN = 560, 400, 60
@@ -20,15 +22,17 @@ Place = tuple[float, float]
 
 
 def tradeoff_page(points: Sequence[OperatingPoint], front: Sequence[OperatingPoint], title: str) -> str:
-    """A page of its own: two charts and the table."""
-    charts = "".join(_svg(points, front, axis, name) for axis, name in _AXES)
+    """A page that needs no other file: the charts and the table."""
+    picture = base64.b64encode(encode_png(tradeoff_picture(points, front))).decode()
     head = "<tr><th>" + "<th>".join(_ROW) + "</tr>"
     rows = "".join("<tr><td>" + "<td>".join(_cells(point, point in front)) + "</tr>" for point in points)
     return (
         '<!doctype html><html lang="en"><meta charset="utf-8"><title>' + html.escape(title) + "</title>"
         "<style>body{font:15px/1.5 sans-serif;max-width:72rem;margin:2rem auto;padding:0 1rem}"
-        "td,th{padding:.2rem .7rem;text-align:right}td:first-child,th:first-child{text-align:left}</style>"
-        f"<h1>{html.escape(title)}</h1>{charts}<table>{head}{rows}</table></html>\n"
+        "img{max-width:100%}td,th{padding:.2rem .7rem;text-align:right}"
+        "td:first-child,th:first-child{text-align:left}</style>"
+        f"<h1>{html.escape(title)}</h1><img alt=charts src='data:image/png;base64,{picture}'>"
+        f"<table>{head}{rows}</table></html>\n"
     )
 
 
@@ -85,33 +89,6 @@ class _Scale:
         return [self.low + share * (self.high - self.low) for share in (0.05, 0.275, 0.5, 0.725, 0.95)]
 
 
-def _svg(points: Sequence[OperatingPoint], front: Sequence[OperatingPoint], axis: str, name: str) -> str:
-    scale, parts = _Scale(points, axis), []
-    bottom = _HEIGHT - _MARGIN
-    for rate in scale.rates():
-        x, _ = scale.place(rate, scale.low)
-        parts.append(f'<path d="M{x:.0f} {_MARGIN}V{bottom}" stroke="#e5e5e5"/>')
-        parts.append(f'<text x="{x:.0f}" y="{bottom + 16}" text-anchor="middle">{rate:g}</text>')
-    for value in scale.values():
-        _, y = scale.place(1.0, value)
-        parts.append(f'<text x="{_MARGIN - 6}" y="{y + 4:.0f}" text-anchor="end">{value:.4g}</text>')
-    line = " ".join("{:.0f},{:.0f}".format(*scale.of(point)) for point in front)
-    parts.append(f'<polyline points="{line}" fill="none" stroke="#bbb"/>')
-    for point in points:
-        (x, y), color = scale.of(point), f"rgb{_color(points, point)}"
-        parts.append(f'<circle cx="{x:.0f}" cy="{y:.0f}" r="5" fill="{color}"/>')
-        parts.append(f'<text x="{x + 8:.0f}" y="{y + 4:.0f}">{html.escape(_label(point))}</text>')
-    for row, decoder in enumerate(_decoders(points)):
-        y, color = bottom - 8 - 15 * row, f"rgb{_COLORS[row % len(_COLORS)]}"
-        parts.append(f'<text x="{_MARGIN + 4}" y="{y}" fill="{color}">{html.escape(decoder)}</text>')
-    parts.append(
-        f'<text x="{_WIDTH / 2:.0f}" y="{_HEIGHT - 20}" text-anchor="middle">frames per second</text>'
-    )
-    parts.append(f'<text x="{_MARGIN}" y="{_MARGIN - 20}" font-size="15">{html.escape(name)}</text>')
-    style = f'viewBox="0 0 {_WIDTH} {_HEIGHT}" width="{_WIDTH}" font-size="11" font-family="sans-serif"'
-    return f'<svg xmlns="http://www.w3.org/2000/svg" {style}>' + "".join(parts) + "</svg>"
-
-
 def tradeoff_picture(points: Sequence[OperatingPoint], front: Sequence[OperatingPoint]) -> NDArray[np.uint8]:
     """Both charts side by side, (H, W, 3) u8 sRGB."""
     return np.concatenate([_chart(points, front, axis, name) for axis, name in _AXES], axis=1)
@@ -162,5 +139,5 @@ def _decoders(points: Sequence[OperatingPoint]) -> list[str]:
 
 
 def _label(point: OperatingPoint) -> str:
-    """Beside a point, whose colour says the decoder: its pitch, and its preset if it is of one."""
+    """Text next to a point: its pitch, and its preset where it has one. The colour tells the decoder."""
     return point.name.removesuffix("-" + point.decoder.replace(" ", "-")).replace("-", " ")

@@ -13,8 +13,7 @@ from stages.pipeline import BAKE_MAPS, TRAIN
 from stages.shared.artifacts import Workspace
 from stages.train.config import DEFAULT_METHOD, PARTS
 from stages.train.methods import METHODS
-from stages.workflows.paper.published import ABLATION, NOVEL_POSE, NOVEL_VIEW
-from stages.workflows.paper.tables import OwnRow, markdown, tables
+from stages.workflows.paper.tables import ABLATION, NOVEL_POSE, NOVEL_VIEW, OwnRow, markdown, tables
 from tests.shared.outfit.wardrobe import make_subject
 
 

@@ -2,7 +2,8 @@
 
 A field declared with `stages.shared.option.option` becomes an option, also in a configuration inside the
 configuration. Its metadata give its `help` and, where they apply, `min`, `max`, `metavar`, `choices`, `panel`
-(the box of the help page) and `flag` (the option's name, where it is not the field's).
+(the box of the help page), `flag` (the option's name, where it is not the field's) and `per` (units of the
+option in one of the field).
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ class _Option:
     def parsed(self, value: Any) -> Any:
         """The field's value of what was typed."""
         if get_origin(self.kind) is not tuple:
-            return value
+            return value / self.metadata["per"] if "per" in self.metadata else value
         return names(value) if get_args(self.kind)[0] is str else parse_ranks(value)
 
 
@@ -50,8 +51,9 @@ def config_options(
 ) -> Callable[[Command], Command]:
     """Replace the parameter `config` of a command by one option per declared field, and by --preset.
 
-    The command is called with the preset's configuration, changed by the options. Tuples are typed as a
-    comma-separated list. A field in which presets differ has no default of its own.
+    The command is called with the preset's configuration, changed by the options, and with the name of the
+    preset where it has a parameter `preset`. Tuples are typed as a comma-separated list. A field in which
+    presets differ has no default of its own.
 
     Arguments:
         presets: configurations of one dataclass, by name.
@@ -69,6 +71,8 @@ def config_options(
         kind: Any = option.kind
         if get_origin(kind) is tuple:
             kind, default = str, None if default is None else ",".join(str(part) for part in default)
+        if default is not None and "per" in option.metadata:
+            default = default * option.metadata["per"]
         if default is None:
             kind = kind | None
         limits = {key: option.metadata[key] for key in ("min", "max", "metavar") if key in option.metadata}
@@ -85,12 +89,15 @@ def config_options(
             if parameter.name == "config":
                 parameters += map(parameter_of, options)
                 parameters += [] if preset is None else [_parameter("preset", preset, Preset)]
-            else:
+            elif parameter.name != "preset":
                 parameters.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
 
         @functools.wraps(function)
         def called(**values: Any) -> None:
-            config = preset_config(dict(presets), values.pop("preset", first))
+            name = values.get("preset", first)
+            if "preset" not in signature.parameters:
+                values.pop("preset", None)
+            config = preset_config(dict(presets), name)
             for option in options:
                 value = values.pop(option.name)
                 if value is not None:

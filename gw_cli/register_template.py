@@ -8,28 +8,24 @@ from typing import Annotated
 
 import typer
 
+from gw_cli.config_options import config_options
 from gw_cli.console import Console, command
 from gw_cli.inputs import check_exists
-from gw_cli.options import DryRun, Force, Json, Preset, preset_config
+from gw_cli.options import DryRun, Force, Json
+from stages.register_template.config import PRESETS, RegisterTemplateConfig
+from stages.shared.errors import UsageProblem
 
 
 def register(app: typer.Typer) -> None:
     @app.command("register-template")
     @command
+    @config_options(PRESETS, "draft")
     def register_template(
         given: Annotated[
             Path,
             typer.Argument(metavar="CAPTURE", help="Folder of a capture, or one mesh of a dressed person."),
         ],
         subject: Annotated[Path, typer.Option("--output", "-o", help="Workspace folder of the subject.")],
-        template: Annotated[
-            str,
-            typer.Option(help="auto | scan | hull (of the masks) | body (bare)."),
-        ] = "auto",
-        frame: Annotated[
-            int | None, typer.Option(help="Frame of the template; chosen by its pose if left out.")
-        ] = None,
-        take: Annotated[str | None, typer.Option(help="Training take of the template.")] = None,
         body_model: Annotated[
             Path | None,
             typer.Option(help="Body model of the poses (.npz); default: the capture's."),
@@ -46,12 +42,6 @@ def register(app: typer.Typer) -> None:
             Path | None,
             typer.Option(help="Model the poses were fitted with (gendered), if not --body-model: converted."),
         ] = None,
-        virtual_cameras: Annotated[
-            int,
-            typer.Option(
-                min=0, max=64, help="Cameras rendered around the scans of every frame (4D-DRESS: 12)."
-            ),
-        ] = 0,
         hold_out: Annotated[
             list[str] | None,
             typer.Option(
@@ -59,7 +49,7 @@ def register(app: typer.Typer) -> None:
             ),
         ] = None,
         capture_format: Annotated[str | None, typer.Option("--format", help="Layout of the capture.")] = None,
-        preset: Preset = "draft",
+        config: RegisterTemplateConfig = PRESETS["draft"],
         force: Force = False,
         dry_run: DryRun = False,
         as_json: Json = False,
@@ -71,24 +61,13 @@ def register(app: typer.Typer) -> None:
         finds them: gw register-template CAPTURE -o SUBJECT --fit. A lone mesh is cleaned (unit, up axis,
         faces inside out, doubled vertices), and the body is fitted into it.
         """
-        from stages.register_template.config import PRESETS
-        from stages.shared.errors import UsageProblem
-
         console = Console(as_json)
         if fit and refine:
             raise UsageProblem(
                 "Poses are either found or improved.", "--fit --refine", "Give one of the two."
             )
         poses = "fit" if fit else "refine" if refine else "given"
-        config = replace(
-            preset_config(PRESETS, preset),
-            template=template,
-            frame=frame,
-            take=take,
-            poses=poses,
-            virtual_cameras=virtual_cameras,
-            hold_out=tuple(hold_out or ()),
-        )
+        config = replace(config, poses=poses, hold_out=tuple(hold_out or ()))
         check_exists(given, "capture or mesh")
 
         from stages.register_template import stage

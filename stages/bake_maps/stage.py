@@ -34,12 +34,11 @@ from stages.bake_maps.picture import maps_picture
 from stages.bake_maps.texels import Texels, cast_texels
 from stages.bake_maps.unseen import unseen_shares
 from stages.pipeline import BAKE_MAPS, CANONICALIZE, REGISTER_TEMPLATE, SEGMENT_LAYERS
-from stages.shared.artifacts import Artifact, ExternalFiles, Workspace
-from stages.shared.artifacts.result import StageResult
+from stages.shared.artifacts import Inputs, StageResult, Workspace
 from stages.shared.capture import Take
 from stages.shared.capture.layer_colors import layer_colors
+from stages.shared.capture.scaled_take import picture_scales, scaled_for_texels
 from stages.shared.capture.template_views import frame_files, template_take
-from stages.shared.errors import BadData
 from stages.shared.meshes.raycast import RayScene
 from stages.shared.plan import Plan
 from stages.shared.report import SILENT, Report
@@ -74,29 +73,26 @@ def run(
     canonical, segmented = workspace.require(CANONICALIZE), workspace.require(SEGMENT_LAYERS)
     capture, take = template_take(workspace, registered) if config.project_colors else (None, None)
     frame = int(segmented.summary["frame"])
-    inputs: dict[str, Artifact | ExternalFiles] = {
+    inputs: Inputs = {
         "canonicalize": canonical,
         "segment-layers": segmented,
         **frame_files(capture, take, frame),
     }
-    found = None if force else workspace.find(BAKE_MAPS, config, inputs)
-    if found:
-        report.say("bake-maps is up to date")
-        return StageResult(found, found.summary)
+    if done := workspace.reuse(BAKE_MAPS, config, inputs, report, force):
+        return done
     with workspace.build(BAKE_MAPS, config, inputs, force) as build:
         meshes = {name: segmented.arrays(name) for name in segmented.summary["layers"]}
         grid = Grid.around(canonical.arrays("body")["vertices"], config.pitch, config.extent_m)
-        everything = _world_scene(meshes)
+        scene = RayScene.of_parts([(mesh["world_vertices"], mesh["faces"]) for mesh in meshes.values()])
+        take = reduced_take(take, scene.vertices, config)
         baked, unseen = {}, {}
         for name, mesh in meshes.items():
             report.step(f"baking {name}")
             unseen[name] = unseen_shares(mesh["vertices"], mesh["faces"])
             sheets = sheets_needed(unseen[name], config)
             texels = cast_texels(mesh["vertices"], mesh["faces"], grid, name, sheets)
-            if not len(texels.texels):
-                raise _empty(name)
             maps = bake_layer(mesh, texels, grid, config)
-            add_texel_colors(maps, mesh, texels, everything, take, frame)
+            add_texel_colors(maps, mesh, texels, scene, take, frame)
             build.write_arrays(name, maps, _ABOUT)
             baked[name] = (texels, maps["colors"], maps["normals"])
         build.write_picture("preview.png", maps_picture(list(baked.values())))
@@ -111,17 +107,24 @@ def run(
 def plan(subject: Path, config: BakeMapsConfig = BakeMapsConfig()) -> Plan:
     """What `run` would read, write and cost."""
     workspace = Workspace(subject)
-    workspace.require(REGISTER_TEMPLATE)
+    registered = workspace.require(REGISTER_TEMPLATE)
     canonical, segmented = workspace.require(CANONICALIZE), workspace.require(SEGMENT_LAYERS)
+    _, take = template_take(workspace, registered) if config.project_colors else (None, None)
+    small = reduced_take(take, registered.arrays("template")["vertices"], config)
     texels = int(2.0 / config.pitch**2)  # two views of about one square metre each
     return Plan(
         inputs=[str(canonical.path), str(segmented.path)],
         outputs=[str(workspace.root / BAKE_MAPS.name)],
-        config=asdict(config),
+        config=asdict(config) | {"picture_scale": picture_scales(small)},
         seconds=1.0 + texels * 2e-5,
         memory_bytes=370_000_000 + texels * 4000,
         disk_bytes=texels * 540,
     )
+
+
+def reduced_take(take: Take | None, vertices: np.ndarray, config: BakeMapsConfig) -> Take | None:
+    """The take with pictures of the detail that texels can show; vertices (V, 3), world, metres."""
+    return take and scaled_for_texels(take, vertices.mean(axis=0), config.pitch, config.picture_scale)
 
 
 def sheets_needed(unseen: np.ndarray, config: BakeMapsConfig) -> int:
@@ -178,24 +181,6 @@ def add_texel_colors(
     share = np.clip(confidence / 0.2, 0, 1)[:, None]
     maps["colors"] = (share * colors + (1 - share) * maps["colors"]).astype(np.float32)
     maps["color_confidence"] = confidence
-
-
-def _world_scene(meshes: dict[str, Mesh]) -> RayScene:
-    """All layers together, in the world at the template's frame."""
-    counts = [len(mesh["world_vertices"]) for mesh in meshes.values()]
-    starts = np.cumsum([0, *counts[:-1]])
-    faces = [mesh["faces"] + start for mesh, start in zip(meshes.values(), starts, strict=True)]
-    return RayScene(
-        np.concatenate([mesh["world_vertices"] for mesh in meshes.values()]), np.concatenate(faces)
-    )
-
-
-def _empty(layer: str) -> BadData:
-    return BadData(
-        f"No ray meets the layer {layer}: its mesh has no surface that the front or back view sees.",
-        f"layer {layer}",
-        "Look at preview.png of segment-layers; label the template again.",
-    )
 
 
 def _summary(grid: Grid, texels: dict[str, Texels], unseen: dict[str, np.ndarray]) -> dict[str, Any]:

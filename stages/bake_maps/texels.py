@@ -9,6 +9,7 @@ import numpy as np
 from stages.bake_maps.grid import Grid
 from stages.bake_maps.peel import MOST_SHEETS, hidden_hits
 from stages.bake_maps.unseen import Exposure
+from stages.shared.errors import BadData
 from stages.shared.meshes.raycast import RayScene
 from stages.shared.meshes.topology import face_normals, vertex_normals
 
@@ -62,7 +63,7 @@ def cast_texels(vertices: np.ndarray, faces: np.ndarray, grid: Grid, layer: str,
     side that it faces, so no surface point gets two texels there.
 
     Raises:
-        BadData: the layer reaches beyond the grid.
+        BadData: the layer reaches beyond the grid, or no ray meets it.
     """
     row0, column0, height, width = window = grid.window(vertices[np.unique(faces)], layer)
     rows, columns = row0 + np.arange(height), column0 + np.arange(width)
@@ -78,6 +79,12 @@ def cast_texels(vertices: np.ndarray, faces: np.ndarray, grid: Grid, layer: str,
     if sheets:
         parts += _peeled(scene, x, y, rows, columns, min(sheets, MOST_SHEETS))
     texels, face, barycentric = (np.concatenate(column) for column in zip(*parts, strict=True))
+    if not len(texels):
+        raise BadData(
+            f"No ray meets the layer {layer}: its mesh has no surface that the front or back view sees.",
+            f"layer {layer}",
+            "Look at preview.png of segment-layers; label the template again.",
+        )
     barycentric = np.clip(barycentric.astype(np.float64), 0.0, 1.0)
     barycentric /= barycentric.sum(axis=1, keepdims=True)
     order = np.lexsort(texels.T[::-1])

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from stages.shared.option import option
+
 SPREADS = ("wide", "inverse", "undiffused", "nearest")
 SHAPE_REMOVALS = ("exact", "paper")
 
@@ -23,9 +25,17 @@ class CanonicalizeConfig:
     """
 
     resolution: int = 64
-    spread: str = "wide"
+    spread: str = option(
+        "wide",
+        "wide | inverse | undiffused | nearest: how skinning weights reach into space.",
+        choices=SPREADS,
+    )
     reach_per_distance: float = 10.0
-    shape_removal: str = "exact"
+    shape_removal: str = option(
+        "exact",
+        "exact | paper: whether joints move with the shape that is taken out.",
+        choices=SHAPE_REMOVALS,
+    )
     tear_growth: float = 5.0
     tear_length_m: float = 0.01
 

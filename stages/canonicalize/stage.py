@@ -26,8 +26,7 @@ from stages.canonicalize.shape import add_shape, canonical_body, template_shape_
 from stages.canonicalize.tearing import Tears, cut_tears
 from stages.canonicalize.unpose import Unposed, unpose
 from stages.pipeline import CANONICALIZE, REGISTER_TEMPLATE
-from stages.shared.artifacts import Artifact, Workspace
-from stages.shared.artifacts.result import StageResult
+from stages.shared.artifacts import Inputs, StageResult, Workspace
 from stages.shared.body.inverse import forward_skin, inverse_skin
 from stages.shared.body.model import BodyModel
 from stages.shared.body.posed import posed_body, row_transforms
@@ -63,11 +62,9 @@ def run(
     """
     workspace = Workspace(subject)
     registered = workspace.require(REGISTER_TEMPLATE)
-    inputs = {"register-template": registered}
-    found = None if force else workspace.find(CANONICALIZE, config, inputs)
-    if found:
-        report.say("canonicalize is up to date")
-        return StageResult(found, found.summary)
+    inputs: Inputs = {"register-template": registered}
+    if done := workspace.reuse(CANONICALIZE, config, inputs, report, force):
+        return done
     with workspace.build(CANONICALIZE, config, inputs, force) as build:
         template = registered.arrays("template")
         body = BodyModel.from_arrays(registered.arrays("body"))
@@ -89,21 +86,17 @@ def run(
         zero_shape = add_shape(unposed.points, directions, -pose.betas)
         tears = cut_tears(faces, world, unposed.points, config.tear_growth, config.tear_length_m)
 
-        mesh = {
-            "vertices": zero_shape.astype(np.float32),
-            "faces": tears.faces.astype(np.int32),
-            "skin_weights": unposed.weights.astype(np.float32),
-            "shape_directions": directions.astype(np.float32),
-        }
+        mesh = _arrays(zero_shape, tears.faces, unposed.weights, directions)
         round_trip = round_trip_residual(mesh, pose, transforms, world)
         mesh |= {name: template[name] for name in ("colors", "labels") if name in template}
-        build.write_arrays("template", mesh, _about(mesh))
-        body_mesh = _body_arrays(body, body_vertices, body_directions)
-        build.write_arrays("body", body_mesh, _about(body_mesh))
+        build.write_arrays("template", mesh, _ABOUT)
+        build.write_arrays(
+            "body", _arrays(body_vertices, body.faces, body.skin_weights, body_directions), _ABOUT
+        )
         build.write_arrays("fields", field.to_arrays())
         build.write_picture("preview.png", two_sided_picture(zero_shape, tears.faces, template.get("colors")))
         build.summary(**_summary(unposed, tears, round_trip, field, len(world)))
-    _tell(build.artifact, report)
+    _warn(build.artifact.summary, report)
     return StageResult(build.artifact, build.artifact.summary)
 
 
@@ -150,17 +143,16 @@ def round_trip_residual(
     return np.linalg.norm(forward_skin(shaped, stored["skin_weights"], transforms) - world, axis=1)
 
 
-def _body_arrays(body: BodyModel, vertices: np.ndarray, directions: np.ndarray) -> dict[str, np.ndarray]:
+def _arrays(
+    vertices: np.ndarray, faces: np.ndarray, weights: np.ndarray, directions: np.ndarray
+) -> dict[str, np.ndarray]:
+    """A canonical mesh as it is written."""
     return {
         "vertices": vertices.astype(np.float32),
-        "faces": body.faces,
-        "skin_weights": body.skin_weights,
+        "faces": faces.astype(np.int32),
+        "skin_weights": weights.astype(np.float32),
         "shape_directions": directions.astype(np.float32),
     }
-
-
-def _about(arrays: dict[str, np.ndarray]) -> dict[str, str]:
-    return {name: _ABOUT[name] for name in arrays}
 
 
 def _summary(
@@ -181,8 +173,7 @@ def _summary(
     }
 
 
-def _tell(artifact: Artifact, report: Report) -> None:
-    summary = artifact.summary
+def _warn(summary: dict[str, Any], report: Report) -> None:
     if summary["cut_faces"]:
         report.warn(
             f"{summary['torn_edges']} edges were torn by the change of pose; {summary['cut_faces']} faces cut"

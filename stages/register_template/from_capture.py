@@ -6,12 +6,13 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stages.register_template.config import RegisterTemplateConfig
 from stages.register_template.fitting.fit_capture import fit_takes
 from stages.register_template.frame_choice import choose_frame
 from stages.register_template.scan_cleaning import clean_scan
-from stages.register_template.sources import Registered, Source, frames_checked
+from stages.register_template.sources import Registration, Source, frames_checked
 from stages.register_template.surface import distances, make_surface
 from stages.shared.body import Poses
 from stages.shared.body.posed import posed_body
@@ -19,75 +20,89 @@ from stages.shared.capture import Capture, Take
 from stages.shared.capture.alignment import check_alignment, overlay_picture, silhouette_ious
 from stages.shared.capture.convention import AS_IS, take_in_convention
 from stages.shared.capture.open_capture import with_poses
+from stages.shared.capture.scaled_take import picture_scales, scaled_for_texels
 from stages.shared.report import Report
 
 _FITTED_BAR = 0.80
 
 
-def register_capture(source: Source, config: RegisterTemplateConfig, report: Report) -> Registered:
-    """Check the alignment and make the template of a capture; fit the body first when that is asked for."""
+def register_capture(source: Source, config: RegisterTemplateConfig, report: Report) -> Registration:
+    """Check the alignment and make the template of a capture; fit the body first when that is asked for.
+
+    Raises:
+        BadData: body and masks do not fit together; masks or a scan that no surface can be made of.
+    """
     capture, take, body = source.capture, source.take, source.body
     assert capture is not None and take is not None
     for note in capture.notes:
         report.say(note)
     fitted = dict(source.converted)
-    told: dict[str, Any] = {}
+    fit_report: dict[str, Any] = {}
     if source.fits_body:
-        found, told = _fit(source, capture, take, config, report)
-        fitted |= found
-        capture = with_poses(capture, found)
+        poses, fit_report = _fit(source, capture, take, config, report)
+        fitted |= poses
+        capture = with_poses(capture, poses)
         take = capture.take(take.name)
     frame = source.frame if source.frame is not None else choose_frame(body, take.poses, take.frames)
     report.step("projecting the body into the masks")
     checked = {number: posed_body(body, take.poses[number]) for number in frames_checked(take, frame)}
-    alignment = check_alignment(take, checked, body.faces, alignment_bar(config, source.fits_body))
+    posed = checked[frame]
+    small = reduced_take(take, posed, config)
+    alignment = check_alignment(small, checked, body.faces, alignment_bar(config, source.fits_body))
     if alignment.convention != AS_IS:
         report.warn(f"camera matrices are read with: {alignment.convention}")
-        take = take_in_convention(take, alignment.convention)
+        small = reduced_take(take_in_convention(take, alignment.convention), posed, config)
     for warning in alignment.warnings:
         report.warn(warning)
     report.say(f"{100 * alignment.mean_inside:.1f} % of the body's silhouette lies inside the masks")
 
-    posed = checked[frame]
-    template, how = make_surface(source.template, take, frame, posed, body, config, report)
+    template, making = make_surface(source.template, small, frame, posed, body, config, report)
     numbers = distances(template, posed, body)
-    iou = silhouette_ious(take, frame, template.vertices, template.faces)
+    iou = silhouette_ious(small, frame, template.vertices, template.faces)
     numbers["silhouette_iou"] = float(np.mean(list(iou.values())))
-    overlay = overlay_picture(take, frame, posed, body.faces, alignment.inside)
-    poses, rows = _all_training_poses(capture, take)
-    return Registered(
-        template,
-        poses,
-        frame,
-        take.name,
-        source.template,
-        alignment.inside,
-        overlay,
-        {
-            "convention": alignment.convention,
-            "tried": alignment.tried,
-            "inside": alignment.inside,
-            "covered": alignment.covered,
-            "silhouette_iou_of_template": iou,
-            "frames_checked": list(alignment.frames),
-            "rows_of_takes": rows,
-            "template": how,
-            "fit": told
-            | {
-                "parameters": config.poses if source.fits_body else "given",
-                "converted_takes": sorted(source.converted),
-            },
-            "body": {"vertices": len(body.template_vertices), "digest": body.digest},
-            **numbers,
+    overlay = overlay_picture(small, frame, posed, body.faces, alignment.inside)
+    poses_of_all, rows = _all_training_poses(capture, take)
+    content = {
+        "convention": alignment.convention,
+        "tried": alignment.tried,
+        "inside": alignment.inside,
+        "covered": alignment.covered,
+        "silhouette_iou_of_template": iou,
+        "frames_checked": list(alignment.frames),
+        "rows_of_takes": rows,
+        "template": making,
+        "fit": fit_report
+        | {
+            "parameters": config.poses if source.fits_body else "given",
+            "converted_takes": sorted(source.converted),
         },
-        {"mean_inside": alignment.mean_inside, **numbers},
-        fitted,
+        "body": {"vertices": len(body.template_vertices), "digest": body.digest},
+        **numbers,
+    }
+    numbers = {"mean_inside": alignment.mean_inside, **numbers}
+    return Registration(
+        template, poses_of_all, frame, take.name, alignment.inside, overlay, content, numbers, fitted
     )
 
 
+def reduced_take(take: Take, posed: NDArray[np.float64], config: RegisterTemplateConfig) -> Take:
+    """The take with pictures of the detail that the hull's grid can show; body (V, 3), world, metres."""
+    return scaled_for_texels(take, posed.mean(axis=0), config.hull_pitch_m, config.picture_scale)
+
+
+def picture_scales_of(source: Source, config: RegisterTemplateConfig) -> list[float] | None:
+    """Smallest and largest factor by which pictures are reduced; None before a fit, and for a lone mesh."""
+    if source.take is None or source.frame is None or not source.take.posed:
+        return None
+    posed = posed_body(source.body, source.take.poses[source.frame])
+    return picture_scales(reduced_take(source.take, posed, config))
+
+
 def alignment_bar(config: RegisterTemplateConfig, fitted: bool) -> float:
-    """Least share of the body inside the masks. A fitted body belongs to its cameras, and its masks may be
-    ragged, so less is asked of it than of poses that came with the capture."""
+    """Smallest share of the body that must lie inside the masks.
+
+    It is lower for a fitted body: the fit used these cameras, and the masks may be ragged.
+    """
     return min(config.bar, _FITTED_BAR) if fitted else config.bar
 
 
@@ -95,16 +110,16 @@ def _fit(
     source: Source, capture: Capture, take: Take, config: RegisterTemplateConfig, report: Report
 ) -> tuple[dict[str, Poses], dict[str, Any]]:
     """Fitted poses of all takes, or of those that have none; the take of the template decides the shape."""
-    scan = None  # a template that is not the scan asks for the pictures alone
+    scan = None  # only a template made of the scan uses the scan in the fit
     if source.template == "scan" and take.scan is not None and take.scan_frame in take.frames:
-        given = take.read_scan()
-        assert given is not None
-        scan = clean_scan(given, config.most_faces, str(take.scan), report).mesh
+        mesh = take.read_scan()
+        assert mesh is not None
+        scan = clean_scan(mesh, config.most_faces, str(take.scan), report).mesh
     takes = [take, *(one for one in capture.takes if one.name != take.name)]
     if config.poses == "fit":
         takes = [replace(one, posed=False) for one in takes]
-    found = fit_takes(source.body, takes, scan, report, config.effort)
-    return found.poses, found.told
+    fit = fit_takes(source.body, takes, scan, report, config.effort)
+    return fit.poses, fit.report
 
 
 def _all_training_poses(capture: Capture, take: Take) -> tuple[Poses, dict[str, list[int]]]:

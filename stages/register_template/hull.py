@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from stages.register_template.silhouettes import Doubles, Silhouette, hull_field, silhouette
+from stages.register_template.silhouettes import Doubles, Silhouette, hull_field, silhouettes_of
 from stages.shared.capture.projection import sample_bilinear
+from stages.shared.capture.scaled_take import reduced_to
 from stages.shared.capture.take import Take
 from stages.shared.errors import BadData
 from stages.shared.meshes.mesh import Mesh
@@ -26,6 +27,15 @@ from stages.shared.report import Report
 MOST_NODES = 12_000_000
 _FEWEST_CAMERAS = 3
 _COARSENESS = 4
+# The coarse hull: cameras, half the side of its box around the person, grid step, rounds of smoothing, and
+# the pixels along the long side of the masks.
+_FEWEST_ROUGH_CAMERAS, _ROUGH_HALF_SIDE_M, _ROUGH_PITCH_M, _ROUGH_SMOOTHING, _ROUGH_PIXELS = (
+    2,
+    1.35,
+    0.025,
+    4,
+    512,
+)
 # How far clothes and hair may go without being asked, how far what one part of the body needs holds for the
 # parts around it, and what is allowed on top of the need; metres.
 _ALWAYS_M, _SPREAD_M, _SLACK_M = 0.04, 0.15, 0.02
@@ -59,26 +69,14 @@ def carve(
         leg_vertices: (V,) which vertices are of hips and legs: between them skirts are closed.
 
     Raises:
-        BadData: fewer than three cameras, an empty mask, masks that have no volume in common.
+        BadData: fewer than three cameras that see the person, masks that have no volume in common.
     """
-    silhouettes = [
-        silhouette(take, name, frame) for name in take.training_cameras if take.has_image(name, frame)
-    ]
-    if len(silhouettes) < _FEWEST_CAMERAS:
-        raise BadData(
-            f"Only {len(silhouettes)} cameras see frame {frame}; a hull needs {_FEWEST_CAMERAS} or more.",
-            f"{take.name}, frame {frame}",
-            "Give a scan, or choose --template body.",
-        )
+    silhouettes = silhouettes_of(take, frame, _FEWEST_CAMERAS, "a hull", report)
     low, high = body_vertices.min(axis=0) - reach, body_vertices.max(axis=0) + reach
     coarse = _grid(low, high, pitch * _COARSENESS)
     inside = hull_field(coarse.nodes(), silhouettes, coarse.pitch) > -pitch * _COARSENESS
     if not inside.any():
-        raise BadData(
-            "The masks of the cameras have no volume in common.",
-            f"{take.name}, frame {frame}",
-            "Check calibration and masks; the overlay picture shows both.",
-        )
+        raise _no_common_volume(take, frame)
     near = coarse.nodes()[inside]
     margin = pitch * (_COARSENESS + 2)
     low, high = near.min(axis=0) - margin, near.max(axis=0) + margin
@@ -104,6 +102,51 @@ def carve(
             "Use a finer preset.",
         )
     return largest_part(outward(vertices, faces))
+
+
+def rough_hull(take: Take, frame: int, report: Report) -> Mesh:
+    """A coarse hull of the masks, made without knowing where the person is, world, metres.
+
+    It is carved around the point that the middles of all masks look at.
+
+    Raises:
+        BadData: fewer than two cameras that see the person, masks without a common volume.
+    """
+    small = reduced_to(take, _ROUGH_PIXELS)
+    silhouettes = silhouettes_of(small, frame, _FEWEST_ROUGH_CAMERAS, "a body", report)
+    middle = _meeting_point(silhouettes)
+    steps = np.arange(-_ROUGH_HALF_SIDE_M, _ROUGH_HALF_SIDE_M + _ROUGH_PITCH_M, _ROUGH_PITCH_M)
+    z, y, x = np.meshgrid(steps, steps, steps, indexing="ij")
+    nodes = np.stack([x, y, z], axis=-1).reshape(-1, 3) + middle
+    values = hull_field(nodes, silhouettes, _ROUGH_PITCH_M)
+    edge = np.abs(nodes - middle).max(axis=1) > _ROUGH_HALF_SIDE_M - 1.5 * _ROUGH_PITCH_M
+    values[edge] = -_ROUGH_PITCH_M
+    vertices, faces, _ = igl.marching_cubes(values, nodes, len(steps), len(steps), len(steps), 0.0)
+    if not len(faces):
+        raise _no_common_volume(take, frame)
+    return smooth(largest_part(outward(vertices, faces)), _ROUGH_SMOOTHING)
+
+
+def _meeting_point(silhouettes: list[Silhouette]) -> Doubles:
+    """The point nearest to the rays through the middles of all masks (least squares)."""
+    matrix, right = np.zeros((3, 3)), np.zeros(3)
+    for one in silhouettes:
+        rows, columns = np.nonzero(one.distance[..., 0] > 0)
+        pixel = np.array([columns.mean() + 0.5, rows.mean() + 0.5, 1.0])
+        direction = one.camera.camera_from_world[:3, :3].T @ (np.linalg.inv(one.camera.intrinsics) @ pixel)
+        direction /= np.linalg.norm(direction)
+        across = np.eye(3) - np.outer(direction, direction)
+        matrix += across
+        right += across @ one.camera.centre
+    return np.asarray(np.linalg.solve(matrix + 1e-9 * np.eye(3), right), np.float64)
+
+
+def _no_common_volume(take: Take, frame: int) -> BadData:
+    return BadData(
+        "The masks of the cameras have no volume in common.",
+        f"{take.name}, frame {frame}",
+        "Check calibration and masks; the overlay picture shows both.",
+    )
 
 
 def outward(vertices: Doubles, faces: NDArray[np.integer]) -> Mesh:

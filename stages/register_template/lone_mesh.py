@@ -13,7 +13,7 @@ from stages.register_template.fitting.fit_scan import fit_scan
 from stages.register_template.fitting.starts import UP_AXES
 from stages.register_template.people import two_people
 from stages.register_template.scan_cleaning import clean_scan
-from stages.register_template.sources import Registered, Source
+from stages.register_template.sources import Registration, Source
 from stages.register_template.surface import MEDIAN_BAR_M, distances, turned_upright
 from stages.shared.body import BodyModel
 from stages.shared.body.posed import posed_body
@@ -31,7 +31,7 @@ from stages.shared.report import Report
 _STRANGE_M, _STRANGE_SHARE = 0.30, 0.25  # so much of the area, so far from the body, is somebody else's
 
 
-def register_mesh(source: Source, config: RegisterTemplateConfig, report: Report) -> Registered:
+def register_mesh(source: Source, config: RegisterTemplateConfig, report: Report) -> Registration:
     """Take a lone mesh as the template; fit the body when no parameters are given.
 
     Raises:
@@ -73,8 +73,8 @@ def register_mesh(source: Source, config: RegisterTemplateConfig, report: Report
             if source.params
             else "Give the fit of the body with --params; this mesh could not be fitted.",
         )
-    told = {"convention": AS_IS, "template": cleaned.told | how, **numbers}
-    return Registered(mesh, poses, frame, None, "mesh", {}, _picture(mesh, posed, body), told, numbers)
+    content = {"convention": AS_IS, "template": cleaned.report | how, **numbers}
+    return Registration(mesh, poses, frame, None, {}, _picture(mesh, posed, body), content, numbers)
 
 
 def refuse_strangers(body: BodyModel, posed: NDArray[np.float64], mesh: Mesh, where: str) -> None:

@@ -31,7 +31,7 @@ class CleanScan:
     """A mesh in metres, one person, faces outward; and what had to be done (for the report)."""
 
     mesh: Mesh
-    told: dict[str, Any]
+    report: dict[str, Any]
 
 
 def clean_scan(mesh: Mesh, most_faces: int, where: str, report: Report) -> CleanScan:
@@ -61,7 +61,7 @@ def clean_scan(mesh: Mesh, most_faces: int, where: str, report: Report) -> Clean
     mesh, simplified = simplify(mesh, most_faces)
     if way == "clustered" or simplified != "unchanged":
         report.say(f"the scan is simplified to {len(mesh.faces)} faces")
-    told = {
+    content = {
         "unit": unit,
         "metres_per_unit": metres,
         "doubled_vertices": welded,
@@ -69,7 +69,7 @@ def clean_scan(mesh: Mesh, most_faces: int, where: str, report: Report) -> Clean
         "faces_turned": flipped,
         "simplified": simplified if way == "unchanged" else f"{way}, {simplified}",
     }
-    return CleanScan(mesh, told)
+    return CleanScan(mesh, content)
 
 
 def unit_of(mesh: Mesh, where: str) -> tuple[str, float]:

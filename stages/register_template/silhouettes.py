@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from stages.shared.capture.camera import Camera
 from stages.shared.capture.projection import sample_bilinear
 from stages.shared.capture.take import MASK_THRESHOLD, Take
+from stages.shared.errors import BadData
+from stages.shared.report import Report
 
 Doubles = NDArray[np.float64]
 
@@ -32,20 +34,42 @@ class Silhouette:
         return float(np.sqrt(self.camera.intrinsics[0, 0] * self.camera.intrinsics[1, 1]))
 
 
-def silhouette(take: Take, name: str, frame: int) -> Silhouette:
-    """Signed distance to the edge of a mask, positive inside, refined by the mask's soft edge.
+def silhouettes_of(take: Take, frame: int, fewest: int, purpose: str, report: Report) -> list[Silhouette]:
+    """The silhouettes of one frame in the training cameras; views that show nobody are named and left out.
+
+    Arguments:
+        fewest: number of silhouettes that are needed. purpose: what for, for the message ("a hull").
 
     Raises:
-        BadData: an empty mask.
+        BadData: fewer cameras than that show the person.
     """
-    mask = take.mask(name, frame)
-    inside = mask > MASK_THRESHOLD
-    if not inside.any():
-        raise take.empty_mask(name, frame)
-    distance = signed_distance(inside)
+    views = [name for name in take.training_cameras if take.has_image(name, frame)]
+    silhouettes, empty = [], []
+    for name in views:
+        mask = take.mask(name, frame)
+        if mask.max(initial=0) > MASK_THRESHOLD:
+            silhouettes.append(silhouette(take.camera(name), mask))
+        else:
+            empty.append(name)
+    if len(silhouettes) < fewest:
+        raise BadData(
+            f"Only {len(silhouettes)} cameras see the person in frame {frame}; {purpose} needs {fewest}.",
+            f"{take.name}, frame {frame}" + (f"; empty masks of {', '.join(empty)}" if empty else ""),
+            "Choose another --frame, give a scan, or choose --template body.",
+        )
+    if empty:
+        report.warn(
+            f"{take.name}, frame {frame}: nobody is seen by {', '.join(empty)}; these views are left out"
+        )
+    return silhouettes
+
+
+def silhouette(camera: Camera, mask: NDArray[np.uint8]) -> Silhouette:
+    """Signed distance to the edge of a mask (H, W) that shows the person, refined by the mask's soft edge."""
+    distance = signed_distance(mask > MASK_THRESHOLD)
     edge = np.abs(distance) < 1
     distance[edge] = mask[edge] / 255.0 - 0.5
-    return Silhouette(take.camera(name), distance[..., None].astype(np.float32))
+    return Silhouette(camera, distance[..., None].astype(np.float32))
 
 
 def signed_distance(inside: NDArray[np.bool_]) -> NDArray[np.float32]:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.register_template.config import RegisterTemplateConfig
+from stages.register_template.config import POSES, TEMPLATES, RegisterTemplateConfig
 from stages.register_template.frame_choice import choose_frame
 from stages.shared.artifacts import ExternalFiles
 from stages.shared.body import BodyModel, Poses, embedded_body, load_body
@@ -22,16 +22,54 @@ from stages.shared.meshes.load import check_mesh_file
 from stages.shared.meshes.mesh import Mesh
 
 
+@dataclass(frozen=True)
+class SourceFiles:
+    """What a user names: a capture or a mesh, and the files that belong to it.
+
+    Attributes:
+        given: folder of a capture, or a mesh file.
+        body_model: overrides the capture's own body model and the embedded one.
+        params: pose file with the body fit of a mesh.
+        format: layout of the capture; None finds out.
+        fit_body_model: model that the capture's poses were fitted with, when it is not the one to be used.
+    """
+
+    given: Path
+    body_model: Path | None = None
+    params: Path | None = None
+    format: str | None = None
+    fit_body_model: Path | None = None
+
+    def scanned_capture(self, config: RegisterTemplateConfig) -> Capture:
+        """The capture whose scans virtual cameras are put around.
+
+        Raises:
+            UsageProblem: it is not a folder. Otherwise as `open_source`.
+        """
+        if not Path(self.given).is_dir():
+            raise UsageProblem(
+                "Virtual cameras are put around the scans of a capture.", str(self.given), "Give a capture."
+            )
+        source = _capture_source(self, replace(config, hold_out=()))  # that option names virtual cameras here
+        assert source.capture is not None
+        return source.capture
+
+    def models(self) -> dict[str, ExternalFiles]:
+        """The named body models, as inputs of the artifact."""
+        named = {"body_model": self.body_model, "fit_body_model": self.fit_body_model}
+        return {name: _lone_file(name, path) for name, path in named.items() if path is not None}
+
+
 @dataclass(frozen=True, eq=False)
 class Source:
-    """Everything decided before any work is done.
+    """Everything that is decided before any work is done.
 
     Attributes:
         template: "scan", "hull", "body" or "mesh".
-        frame: row of the template in the poses; None while there are none to choose it by.
         inputs: the files that are read, for the artifact's key.
+        frame: row of the template in the poses; None while there are no poses to choose it by.
         converted: poses of takes that were fitted with another body model, for the one in use.
-        fits_body: whether the body has to be fitted; a hull's frame is chosen after that when none is given.
+        fits_body: whether the body has to be fitted. The frame of a hull is then chosen after the fit.
     """
 
     body: BodyModel
@@ -42,20 +80,27 @@ class Source:
     take: Take | None = None
     mesh: Path | None = None
     params: Path | None = None
-
     fits_body: bool = False
     converted: dict[str, Poses] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
-class Registered:
-    """What registration found; `fitted` are poses of takes that are not the capture's own."""
+class Registration:
+    """Result of a registration.
+
+    Attributes:
+        template: world, metres. poses: of all training frames. frame: row of the template in `poses`.
+        take: name of the template's take; None for a lone mesh.
+        share_inside: camera to the share of the projected body inside its masks.
+        overlay: (H, W, 3) u8 sRGB, the body's outlines over the pictures.
+        report: what `report.json` holds. numbers: what the summary holds besides.
+        fitted: take to poses, where they are not the capture's own.
+    """
 
     template: Mesh
     poses: Poses
     frame: int
     take: str | None
-    source: str
     share_inside: dict[str, float]
     overlay: NDArray[np.uint8]
     report: dict[str, Any]
@@ -63,73 +108,40 @@ class Registered:
     fitted: dict[str, Poses] = field(default_factory=dict)
 
 
-def body_of(body_model: Path | None, capture: Capture | None) -> BodyModel:
-    """The body model given, the capture's own, or the embedded one, in this order."""
-    if body_model is not None:
-        return load_body(body_model)
-    if capture is not None and capture.body_model_path is not None:
-        return load_body(capture.body_model_path)
-    return embedded_body()
+def open_source(files: SourceFiles, config: RegisterTemplateConfig) -> Source:
+    """The capture or mesh, its body model, and the template's take and frame.
 
-
-def capture_source(
-    root: Path,
-    config: RegisterTemplateConfig,
-    body_model: Path | None,
-    format: str | None,
-    fit_body_model: Path | None = None,
-) -> Source:
-    """Open a capture and decide on take, frame and kind of template.
-
-    Arguments:
-        fit_body_model: model that the capture's poses were fitted with, when it is not the one to be used.
+    Raises:
+        MissingInput, BadData: a file is not there, or damaged.
+        UsageProblem: a template, take or frame that does not exist; options that exclude each other.
     """
-    given = load_body(body_model) if body_model is not None else None
-    fits = config.poses != "given"
-    fitted_with = None if fit_body_model is None else load_body(fit_body_model)
-    capture = open_capture(root, format, fitted_with or given, poses_needed=not fits)
-    capture = with_held_out(capture, config.hold_out)
-    body = given or body_of(None, capture)
-    converted: dict[str, Poses] = {}
-    if fitted_with is not None:
-        converted = {
-            one.name: convert_poses(one.poses, fitted_with, body) for one in capture.takes if one.posed
-        }
-        capture = with_poses(capture, converted)
-    take = _take(capture, config)
-    fits = fits and (config.poses == "refine" or any(not one.posed for one in capture.takes))
-    template, frame = _template_and_frame(take, body, config, fits)
-    looked_at = frames_checked(take, frame if frame is not None else take.frames[0])
-    images = [frame] if frame is not None else take.frames
-    masks = _views(take, looked_at, "mask")
-    if fits:
-        masks = [path for one in capture.takes for path in _views(one, one.frames, "mask")]
-    inputs = {
-        "capture/cameras": _files(capture, "cameras", list(take.calibration_files)),
-        "capture/poses": _files(capture, "poses", [p for t in capture.training_takes for p in t.pose_files]),
-        "capture/masks": _files(capture, "masks", masks),
-        "capture/images": _files(capture, "images", _views(take, images, "image")),
-    }
-    landmarks = [file for one in capture.takes if (file := landmarks_file(one)) is not None]
-    if fits and landmarks:
-        inputs["capture/landmarks"] = _files(capture, "landmarks", landmarks)
-    if fits and take.scan is not None:
-        inputs["capture/scan"] = _files(capture, "scan", [take.scan])
-    if template == "scan" and take.scan is not None:
-        inputs["capture/scan"] = _files(capture, "scan", [take.scan])
-    if body_model is not None:
-        inputs["body_model"] = ExternalFiles("body_model", Path(body_model).parent, [Path(body_model)])
-    elif capture.body_model_path is not None:
-        inputs["capture/body"] = _files(capture, "body", [capture.body_model_path])
-    if fit_body_model is not None:
-        path = Path(fit_body_model)
-        inputs["fit_body_model"] = ExternalFiles("fit_body_model", path.parent, [path])
-    return Source(body, template, inputs, frame, capture, take, fits_body=fits, converted=converted)
+    for name, value, choices in (
+        ("template", config.template, TEMPLATES),
+        ("source of poses", config.poses, POSES),
+    ):
+        if value not in choices:
+            raise UsageProblem(
+                f"There is no {name} called {value!r}.",
+                f"option --{name.split()[-1]}",
+                "Choose one of: " + ", ".join(choices) + ".",
+            )
+    given = Path(files.given)
+    if given.is_dir():
+        if files.params is not None:
+            raise UsageProblem(
+                "A capture brings its own poses.",
+                "option --params",
+                "Leave --params out; it is for a lone mesh.",
+            )
+        return _capture_source(files, config)
+    if given.is_file():
+        return _mesh_source(files, config)
+    raise MissingInput(
+        "There is no such capture or mesh.", str(given), "Give the folder of a capture, or a mesh file."
+    )
 
 
-def mesh_source(
-    path: Path, config: RegisterTemplateConfig, body: BodyModel, body_model: Path | None, params: Path | None
-) -> Source:
+def _mesh_source(files: SourceFiles, config: RegisterTemplateConfig) -> Source:
     """A lone mesh, with or without a body fit."""
     if config.template in ("hull", "body"):
         raise UsageProblem(
@@ -137,13 +149,65 @@ def mesh_source(
             "option --template",
             "Leave --template out.",
         )
+    path, params = Path(files.given), files.params
     check_mesh_file(path)
-    inputs = {"mesh": ExternalFiles("mesh", path.parent, [path])}
+    body = load_body(files.body_model) if files.body_model is not None else embedded_body()
+    inputs = {"mesh": _lone_file("mesh", path), **replace(files, fit_body_model=None).models()}
     if params is not None:
-        inputs["params"] = ExternalFiles("params", params.parent, [params])
-    if body_model is not None:
-        inputs["body_model"] = ExternalFiles("body_model", Path(body_model).parent, [Path(body_model)])
+        inputs["params"] = _lone_file("params", params)
     return Source(body, "mesh", inputs, config.frame or 0, mesh=path, params=params, fits_body=params is None)
+
+
+def _capture_source(files: SourceFiles, config: RegisterTemplateConfig) -> Source:
+    """Open a capture and decide on take, frame and kind of template."""
+    named = load_body(files.body_model) if files.body_model is not None else None
+    fitted_with = load_body(files.fit_body_model) if files.fit_body_model is not None else None
+    fits = config.poses != "given"
+    capture = open_capture(Path(files.given), files.format, fitted_with or named, poses_needed=not fits)
+    capture = with_held_out(capture, config.hold_out)
+    own = capture.body_model_path
+    body = named or (load_body(own) if own is not None else embedded_body())
+    converted: dict[str, Poses] = {}
+    if fitted_with is not None:
+        posed = [take for take in capture.takes if take.posed]
+        converted = {take.name: convert_poses(take.poses, fitted_with, body) for take in posed}
+        capture = with_poses(capture, converted)
+    take = _take(capture, config)
+    fits = fits and (config.poses == "refine" or any(not take.posed for take in capture.takes))
+    template, frame = _template_and_frame(take, body, config, fits)
+    inputs = _capture_inputs(capture, take, template, frame, fits) | files.models()
+    if named is None and own is not None:
+        inputs["capture/body"] = ExternalFiles("capture/body", capture.root, [own])
+    return Source(body, template, inputs, frame, capture, take, fits_body=fits, converted=converted)
+
+
+def _capture_inputs(
+    capture: Capture, take: Take, template: str, frame: int | None, fits: bool
+) -> dict[str, ExternalFiles]:
+    """The files of a capture that registration reads, by group."""
+    checked = frames_checked(take, frame if frame is not None else take.frames[0])
+    images = [frame] if frame is not None else take.frames
+    groups = {
+        "cameras": list(take.calibration_files),
+        "poses": [path for one in capture.training_takes for path in one.pose_files],
+        "masks": _views(take, checked, "mask"),
+        "images": _views(take, images, "image"),
+    }
+    if fits:
+        groups["masks"] = [path for one in capture.takes for path in _views(one, one.frames, "mask")]
+        landmarks = [landmarks_file(one) for one in capture.takes]
+        groups["landmarks"] = [path for path in landmarks if path is not None]
+    if take.scan is not None and (fits or template == "scan"):
+        groups["scan"] = [take.scan]
+    return {
+        f"capture/{group}": ExternalFiles(f"capture/{group}", capture.root, sorted(set(paths)))
+        for group, paths in groups.items()
+        if paths or group != "landmarks"
+    }
+
+
+def _lone_file(name: str, path: Path) -> ExternalFiles:
+    return ExternalFiles(name, Path(path).parent, [Path(path)])
 
 
 def _take(capture: Capture, config: RegisterTemplateConfig) -> Take:
@@ -193,10 +257,6 @@ def frames_checked(take: Take, frame: int) -> list[int]:
     """The template's frame and two others, far from each other."""
     others = [take.frames[len(take.frames) // 3], take.frames[(2 * len(take.frames)) // 3]]
     return sorted({frame, *others})
-
-
-def _files(capture: Capture, group: str, files: list[Path]) -> ExternalFiles:
-    return ExternalFiles(f"capture/{group}", capture.root, sorted(set(files)))
 
 
 def _views(take: Take, frames: list[int], kind: str) -> list[Path]:

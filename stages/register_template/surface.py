@@ -59,7 +59,7 @@ def make_surface(
         cleaned = clean_scan(scan, config.most_faces, str(take.scan), report)
         mesh, up = turned_upright(cleaned.mesh, posed, report)
         _check_scan(mesh, posed, take)
-        return mesh, {"made": "scan", "up": up, **cleaned.told}
+        return mesh, {"made": "scan", "up": up, **cleaned.report}
     else:
         report.step("carving the hull of the masks")
         faces = body.faces if config.hull_rounded else None

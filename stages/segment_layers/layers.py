@@ -10,9 +10,9 @@ from scipy.spatial import cKDTree
 from stages.segment_layers.config import SegmentLayersConfig
 from stages.segment_layers.extract import LayerPart, extract_part, faces_beneath, join, sink
 from stages.segment_layers.hidden_cloth import BodySurface, lower_onto_body
+from stages.shared.artifacts import Artifact
 from stages.shared.body.model import BodyModel
 from stages.shared.body.posed import posed_body
-from stages.shared.body.poses import Poses
 from stages.shared.body.skeleton import JOINT_INDEX
 from stages.shared.layers import (
     BODY_LABELS,
@@ -26,6 +26,7 @@ from stages.shared.layers import (
 from stages.shared.meshes import keep_faces
 from stages.shared.meshes.regions import face_labels, outward_faces
 from stages.shared.meshes.topology import vertex_normals
+from stages.shared.poses.read import load_poses
 
 UPPER, OUTER = label_of("upper"), label_of("outer")
 _LEGS = [JOINT_INDEX[f"{side}_{name}"] for side in ("left", "right") for name in ("hip", "knee", "ankle")]
@@ -38,6 +39,7 @@ _TORSO_AND_ARMS = [
     ),
 ]
 _ONE_PIECE = 0.15  # share of the weights on either half
+LayerMesh = dict[str, np.ndarray]  # arrays of one layer's mesh, as the stage writes them
 _SCAN_REACH = 0.02  # metres: body vertices take the colour of scan skin that is this near
 
 
@@ -78,7 +80,7 @@ class Template:
 
 def garment_layer(
     template: Template, labels: np.ndarray, label: int, config: SegmentLayersConfig, body: BodySurface
-) -> dict[str, np.ndarray]:
+) -> LayerMesh:
     """Mesh of one garment, its border tucked under its neighbours; empty when it is not there.
 
     It continues under garments that lie over it (`faces_beneath`), lowered onto the body.
@@ -96,7 +98,7 @@ def garment_layer(
     return _lowered(mesh, body) if len(part.faces) else mesh
 
 
-def _lowered(mesh: dict[str, np.ndarray], body: BodySurface) -> dict[str, np.ndarray]:
+def _lowered(mesh: LayerMesh, body: BodySurface) -> LayerMesh:
     """A garment mesh with its hidden part on the body; faces of folded flaps are left out."""
     cloth = lower_onto_body(
         mesh["world_vertices"].astype(np.float64), mesh, mesh["faces"], mesh["ring"] > 0, body
@@ -112,28 +114,20 @@ def _lowered(mesh: dict[str, np.ndarray], body: BodySurface) -> dict[str, np.nda
     return {name: faces if name == "faces" else values[used] for name, values in lowered.items()}
 
 
-def body_surface(canonical_body: dict[str, np.ndarray], body: BodyModel, pose: Poses) -> BodySurface:
+def body_surface(registered: Artifact, canonical: Artifact) -> BodySurface:
     """The body of the template's frame, in the world and in canonical space."""
-    return BodySurface(
-        posed_body(body, pose),
-        canonical_body["vertices"],
-        canonical_body["faces"],
-        canonical_body["skin_weights"],
-        canonical_body["shape_directions"],
-    )
+    body = BodyModel.from_arrays(registered.arrays("body"))
+    pose = load_poses(registered.file("smpl_params.npz"))[int(registered.summary["frame"])]
+    mesh = canonical.arrays("body")
+    arrays = (mesh[name] for name in ("vertices", "faces", "skin_weights", "shape_directions"))
+    return BodySurface(posed_body(body, pose), *arrays)
 
 
-def body_layer(
-    template: Template,
-    labels: np.ndarray,
-    canonical_body: dict[str, np.ndarray],
-    body: BodyModel,
-    pose: Poses,
-) -> dict[str, np.ndarray]:
+def body_layer(template: Template, labels: np.ndarray, body: BodySurface) -> LayerMesh:
     """The body model's own mesh, whole under the garments, and the hair and shoes of the template."""
     by_face = face_labels(labels, template.faces, OUTERMOST_FIRST)
     nothing = np.zeros(len(by_face), dtype=bool)
-    parts = [_body_mesh(template, labels, canonical_body, body, pose)]
+    parts = [_body_mesh(template, labels, body)]
     for label in reversed(BODY_LABELS):  # hair and shoes; the skin is the body model's own
         if label == SKIN:
             continue
@@ -143,31 +137,28 @@ def body_layer(
     return join(parts)
 
 
-def _body_mesh(
-    template: Template,
-    labels: np.ndarray,
-    canonical_body: dict[str, np.ndarray],
-    body: BodyModel,
-    pose: Poses,
-) -> dict[str, np.ndarray]:
-    world = posed_body(body, pose)
-    colors, seen = np.zeros((len(world), 3), np.uint8), np.zeros(len(world), np.uint8)
+def _body_mesh(template: Template, labels: np.ndarray, body: BodySurface) -> LayerMesh:
+    count = len(body.world)
+    colors, seen = np.zeros((count, 3), np.uint8), np.zeros(count, np.uint8)
     skin = np.flatnonzero(labels == SKIN)
     if template.colors is not None and len(skin):
-        distance, nearest = cKDTree(template.world[skin]).query(world)
+        distance, nearest = cKDTree(template.world[skin]).query(body.world)
         colors = template.colors[skin][nearest]
         seen = (distance < _SCAN_REACH).astype(np.uint8)
     return {
-        **{name: canonical_body[name] for name in ("vertices", "faces", "skin_weights", "shape_directions")},
-        "world_vertices": world.astype(np.float32),
-        "labels": np.full(len(world), SKIN, np.uint8),
-        "ring": np.zeros(len(world), np.int32),
+        "vertices": body.canonical,
+        "faces": body.faces,
+        "skin_weights": body.skin_weights,
+        "shape_directions": body.shape_directions,
+        "world_vertices": body.world.astype(np.float32),
+        "labels": np.full(count, SKIN, np.uint8),
+        "ring": np.zeros(count, np.int32),
         "scan_colors": colors,
         "scan_seen": seen,
     }
 
 
-def _part_mesh(template: Template, part: LayerPart, label: int, depth: float) -> dict[str, np.ndarray]:
+def _part_mesh(template: Template, part: LayerPart, label: int, depth: float) -> LayerMesh:
     numbers = part.vertex_numbers
     canonical = {name: values[numbers] for name, values in template.canonical.items()}
     canonical["vertices"] = sink(
@@ -188,7 +179,7 @@ def _part_mesh(template: Template, part: LayerPart, label: int, depth: float) ->
     }
 
 
-def slots_of(layers: dict[str, dict[str, np.ndarray]]) -> dict[str, list[str]]:
+def slots_of(layers: dict[str, LayerMesh]) -> dict[str, list[str]]:
     """The places that each garment takes up: its own, or upper and lower for a dress or a jumpsuit.
 
     A garment is one piece when the other of upper and lower is not there and a good part of its vertices

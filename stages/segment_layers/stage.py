@@ -24,15 +24,13 @@ import numpy as np
 
 from stages.pipeline import CANONICALIZE, REGISTER_TEMPLATE, SEGMENT_LAYERS
 from stages.segment_layers.config import SegmentLayersConfig
-from stages.segment_layers.extract import join
 from stages.segment_layers.fill import fill_colors
 from stages.segment_layers.layers import Template, body_layer, body_surface, garment_layer, slots_of
-from stages.shared.artifacts import Artifact, ExternalFiles, Workspace
-from stages.shared.artifacts.result import StageResult
-from stages.shared.body.model import BodyModel
+from stages.shared.artifacts import Artifact, Inputs, StageResult, Workspace
 from stages.shared.capture import Take, label_picture
 from stages.shared.capture.layer_colors import has_label_images, layer_colors
 from stages.shared.capture.projection import project_labels
+from stages.shared.capture.scaled_take import picture_scales, scaled_for_texels
 from stages.shared.capture.template_views import frame_files, template_take
 from stages.shared.errors import MissingInput
 from stages.shared.layers import BODY, GARMENT_LABELS, LABELS, LAYER_OF_LABEL, NO_LABEL, label_legend
@@ -42,7 +40,6 @@ from stages.shared.meshes.raycast import RayScene
 from stages.shared.meshes.regions import vertex_areas
 from stages.shared.meshes.topology import vertex_normals
 from stages.shared.plan import Plan
-from stages.shared.poses.read import load_poses
 from stages.shared.report import SILENT, Report
 
 _ABOUT = {
@@ -71,44 +68,40 @@ def run(
     """
     workspace = Workspace(subject)
     registered, canonical = workspace.require(REGISTER_TEMPLATE), workspace.require(CANONICALIZE)
-    body = BodyModel.from_arrays(registered.arrays("body"))
     capture, take = template_take(workspace, registered)
     frame = int(registered.summary["frame"])
-    inputs: dict[str, Artifact | ExternalFiles] = {
+    inputs: Inputs = {
         "register-template": registered,
         "canonicalize": canonical,
         **frame_files(capture, take, frame),
     }
-    found = None if force else workspace.find(SEGMENT_LAYERS, config, inputs)
-    if found:
-        report.say("segment-layers is up to date")
-        return StageResult(found, found.summary)
+    if done := workspace.reuse(SEGMENT_LAYERS, config, inputs, report, force):
+        return done
     with workspace.build(SEGMENT_LAYERS, config, inputs, force) as build:
         template = Template.load(registered.arrays("template"), canonical.arrays("template"))
-        pose = load_poses(registered.file("smpl_params.npz"))[frame]
+        take = reduced_take(take, template.world, template.faces, config)
 
         report.step("labelling the template")
         labels, source = choose_labels(template, take, frame, config)
 
         report.step("cutting out the layers")
-        canonical_body = canonical.arrays("body")
-        surface = body_surface(canonical_body, body, pose)
-        garments = {
-            LAYER_OF_LABEL[label]: garment_layer(template, labels, label, config, surface)
-            for label in GARMENT_LABELS
-        }
-        layers = {BODY: body_layer(template, labels, canonical_body, body, pose)}
-        layers |= {name: mesh for name, mesh in garments.items() if len(mesh["faces"])}
+        body = body_surface(registered, canonical)
+        layers = {BODY: body_layer(template, labels, body)}
+        for label in GARMENT_LABELS:
+            garment = garment_layer(template, labels, label, config, body)
+            if len(garment["faces"]):
+                layers[LAYER_OF_LABEL[label]] = garment
 
         report.step("projecting colours")
-        scene = RayScene(*_scene_mesh(layers))
+        scene = RayScene.of_parts([(mesh["world_vertices"], mesh["faces"]) for mesh in layers.values()])
         for name, mesh in layers.items():
             add_colors(mesh, scene, take, frame)
             build.write_arrays(name, mesh, _ABOUT)
         build.write_arrays(
             "labels", {"labels": labels}, {"labels": "layer label ids of template vertices (V,)"}
         )
-        build.write_picture("preview.png", _preview(template, labels))
+        picture = two_sided_picture(template.canonical["vertices"], template.faces, label_picture(labels))
+        build.write_picture("preview.png", picture)
         build.summary(**_summary(template, labels, source, layers, registered))
     summary = build.artifact.summary
     report.say("layers: " + ", ".join(summary["layers"]) + f" (labels from {source})")
@@ -122,18 +115,29 @@ def plan(subject: Path, config: SegmentLayersConfig = SegmentLayersConfig()) -> 
     """What `run` would read, write and cost."""
     workspace = Workspace(subject)
     registered, canonical = workspace.require(REGISTER_TEMPLATE), workspace.require(CANONICALIZE)
+    capture, take = template_take(workspace, registered)
+    mesh = registered.arrays("template")
+    small = reduced_take(take, mesh["vertices"], mesh["faces"], config)
+    vertices = len(mesh["vertices"])
     inputs = [str(registered.path), str(canonical.path)]
-    if workspace.settings().get("capture"):
-        inputs.append(str(workspace.setting_path("capture")))
-    vertices = int(canonical.summary["vertices"])
     return Plan(
-        inputs=inputs,
+        inputs=inputs + ([str(capture.root)] if capture else []),
         outputs=[str(workspace.root / SEGMENT_LAYERS.name)],
-        config=asdict(config),
+        config=asdict(config) | {"picture_scale": picture_scales(small)},
         seconds=1.0 + vertices * 7e-5,
         memory_bytes=600_000_000 + vertices * 4000,
         disk_bytes=3_000_000 + vertices * 370,
     )
+
+
+def reduced_take(
+    take: Take | None, vertices: np.ndarray, faces: np.ndarray, config: SegmentLayersConfig
+) -> Take | None:
+    """The take with pictures of the detail that a mesh of vertices (V, 3), world, metres, can show."""
+    if take is None:
+        return None
+    spacing = float(np.sqrt(vertex_areas(vertices, faces).sum() / len(vertices)))
+    return scaled_for_texels(take, vertices.mean(axis=0), spacing, config.picture_scale)
 
 
 def choose_labels(
@@ -149,38 +153,22 @@ def choose_labels(
     if source == "auto":
         source = "images" if from_images else "scan"
     if source == "images" and take is not None and from_images:
-        votes = project_labels(
-            template.world, template.normals, RayScene(template.world, template.faces), take, frame
-        )
+        scene = RayScene(template.world, template.faces)
+        votes = project_labels(template.world, template.normals, scene, take, frame)
         labels = label_vertices(
-            template.world,
-            template.faces,
-            template.normals,
-            votes,
-            GARMENT_LABELS,
-            config.smoothness,
-            config.expansions,
-            config.smallest_island_m2,
-            config.smallest_share,
+            template.world, template.faces, template.normals, votes, config.smoothness, config.expansions
         )
-        return labels, source
-    if source == "scan" and template.labels is not None and (template.labels != NO_LABEL).any():
-        known = known_labels(template.world, template.labels)
-        tidy = tidy_labels(
-            template.world,
-            template.faces,
-            known,
-            GARMENT_LABELS,
-            config.smallest_island_m2,
-            config.smallest_share,
+    elif source == "scan" and template.labels is not None and (template.labels != NO_LABEL).any():
+        labels = known_labels(template.world, template.labels)
+    else:
+        raise MissingInput(
+            "There are no labels that say which part is skin, hair, shoe, upper, lower or outer garment.",
+            f"label images of frame {frame}" if config.labels != "scan" else "labels of the scan",
+            f"Add label images (one PNG per camera with ids {label_legend()}), "
+            "or register a scan with a `label` per vertex.",
         )
-        return tidy, source
-    raise MissingInput(
-        "There are no labels that say which part is skin, hair, shoe, upper, lower or outer garment.",
-        f"label images of frame {frame}" if config.labels != "scan" else "labels of the scan",
-        f"Add label images (one PNG per camera with ids {label_legend()}), "
-        "or register a scan with a `label` per vertex.",
-    )
+    island, share = config.smallest_island_m2, config.smallest_share
+    return tidy_labels(template.world, template.faces, labels, GARMENT_LABELS, island, share), source
 
 
 def add_colors(mesh: dict[str, np.ndarray], scene: RayScene, take: Take | None, frame: int) -> None:
@@ -196,16 +184,6 @@ def add_colors(mesh: dict[str, np.ndarray], scene: RayScene, take: Take | None, 
     mesh["colors"] = np.rint(255 * filled).astype(np.uint8)
     mesh["color_confidence"] = confidence
     del mesh["scan_colors"], mesh["scan_seen"]
-
-
-def _scene_mesh(layers: dict[str, dict[str, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
-    parts = [{"vertices": mesh["world_vertices"], "faces": mesh["faces"]} for mesh in layers.values()]
-    everything = join(parts)
-    return everything["vertices"], everything["faces"]
-
-
-def _preview(template: Template, labels: np.ndarray) -> np.ndarray:
-    return two_sided_picture(template.canonical["vertices"], template.faces, label_picture(labels))
 
 
 def _summary(

@@ -29,6 +29,7 @@ class Config:
     size: int = _field(10, min=2)
     words: tuple[str, ...] = _field((), flag="--word")
     strict: bool = _field(True)
+    pitch: float = _field(0.5, per=1000, min=1)
     secret: float = _field(0.5)
     inner: Inner = field(default_factory=Inner)
 
@@ -42,8 +43,11 @@ def _run(*arguments: str) -> tuple[int, list[Config], str]:
     @app.command()
     @command
     @config_options(PRESETS, "draft", omit=("secret",), help={"size": "Pixels."})
-    def draw(target: str, config: Config = PRESETS["draft"], dry_run: bool = False) -> None:
+    def draw(
+        target: str, config: Config = PRESETS["draft"], preset: str = "draft", dry_run: bool = False
+    ) -> None:
         seen.append(config)
+        assert preset == ("paper" if "paper" in arguments else "draft")
         assert target == "out" and dry_run
 
     done = CliRunner().invoke(app, ["out", "--dry-run", *arguments])
@@ -58,6 +62,7 @@ def _run(*arguments: str) -> tuple[int, list[Config], str]:
         (("--preset", "paper", "--size", "10"), Config()),
         (("--word", "a, b", "--no-strict"), Config(words=("a", "b"), strict=False)),
         (("--inner-step", "4", "--kind", "b"), Config(inner=Inner(4, "b"))),
+        (("--pitch", "9"), Config(pitch=0.009)),
     ],
 )
 def test_options_change_the_preset(arguments: tuple[str, ...], expected: Config) -> None:

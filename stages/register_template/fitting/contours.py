@@ -42,22 +42,22 @@ class View:
 
 
 def views_of(take: Take, frame: int, contour_points: int = 400) -> list[View]:
-    """The training views of one frame.
+    """The training views of one frame that show the person; views with an empty mask are left out.
 
     Raises:
-        BadData: an empty mask.
+        BadData: no view shows the person.
     """
-    return [
-        _view(take, name, frame, contour_points)
-        for name in take.training_cameras
-        if take.has_image(name, frame)
-    ]
+    names = [name for name in take.training_cameras if take.has_image(name, frame)]
+    views = [_view(take, name, frame, contour_points) for name in names]
+    if names and not any(views):
+        raise take.empty_mask(names[0], frame)
+    return [view for view in views if view is not None]
 
 
-def _view(take: Take, name: str, frame: int, count: int) -> View:
+def _view(take: Take, name: str, frame: int, count: int) -> View | None:
     mask, camera = take.mask(name, frame), take.camera(name)
-    if mask.max() <= MASK_THRESHOLD:
-        raise take.empty_mask(name, frame)
+    if mask.max(initial=0) <= MASK_THRESHOLD:
+        return None
     factor = min(1.0, LONG_SIDE / max(camera.width, camera.height))
     small = camera.scaled(factor)
     resized = cv2.resize(mask, (small.width, small.height), interpolation=cv2.INTER_AREA)

@@ -28,7 +28,7 @@ from stages.register_template.fitting.fit_views import (
     with_scan,
 )
 from stages.register_template.fitting.landmark_terms import Targets
-from stages.register_template.fitting.rough_hull import rough_hull
+from stages.register_template.hull import rough_hull
 from stages.shared.body import BodyModel, Poses
 from stages.shared.capture import Take
 from stages.shared.meshes.mesh import Mesh
@@ -46,7 +46,7 @@ class TakesFit:
     """Poses of every take, all with one shape, and numbers for the report."""
 
     poses: dict[str, Poses]
-    told: dict[str, Any]
+    report: dict[str, Any]
 
 
 def fit_takes(
@@ -79,11 +79,11 @@ def fit_takes(
             begin = _start(body, take, take.frames[0], own, None, report, effort)
             states = _all_frames(body, take, take.frames[0], begin, report)
         report.step(f"polishing {take.name}")
-        check = FitCheck()
+        check = FitCheck(take)
         poses[take.name], misfits[take.name] = _polished(body, take, states, state.betas, check, report)
-        checks[take.name] = check.judge(take, state.betas, report)
-    told = {"misfit_m": misfits, "shape_from_frames": _spread(main.frames), "checks": checks}
-    return TakesFit(poses, told)
+        checks[take.name] = check.judge(state.betas, report)
+    content = {"misfit_m": misfits, "shape_from_frames": _spread(main.frames), "checks": checks}
+    return TakesFit(poses, content)
 
 
 def _start(
@@ -98,7 +98,7 @@ def _start(
         return refine(body, state, [seen], _TOGETHER[1:], effort, shape=True)
     if seen.landmarks is not None and seen.landmarks.enough(body):
         return _best_of_hypotheses(body, take, frame, seen, report, effort)
-    return first_pose(body, rough_hull(take, frame), seen, report, effort)
+    return first_pose(body, rough_hull(take, frame, report), seen, report, effort)
 
 
 def _best_of_hypotheses(
@@ -108,7 +108,7 @@ def _best_of_hypotheses(
     state = pose_from_landmarks(body, seen, effort)
     if not wrong_parts(body, state, 0, seen):
         return state
-    other = first_pose(body, rough_hull(take, frame), seen, report, effort)
+    other = first_pose(body, rough_hull(take, frame, report), seen, report, effort)
 
     def cost(one: State) -> float:
         return misfit_of(body, one, seen) + landmark_misfit(body, one, 0, seen)

@@ -25,22 +25,34 @@ _REFUSED_SHARE = 0.5
 
 
 class FitCheck:
-    """Distances of the fitted frames of a take from their landmarks."""
+    """What is wrong with the fitted frames of a take: landmarks, the shape, views that show nobody."""
 
-    def __init__(self) -> None:
+    def __init__(self, take: Take) -> None:
+        self._take = take
         self._frames: dict[int, dict[str, float]] = {}
+        self._empty: dict[str, list[int]] = {}
 
     def add(self, body: BodyModel, frame: int, state: State, seen: Seen) -> None:
         """Look at one fitted frame (a state of one frame)."""
         if seen.landmarks is not None:
             self._frames[frame] = landmark_distances(body, state, 0, seen.landmarks)
+        names = {view.camera.name for view in seen.views}
+        for name in self._take.training_cameras:
+            if self._take.has_image(name, frame) and name not in names:
+                self._empty.setdefault(name, []).append(frame)
 
-    def judge(self, take: Take, betas: np.ndarray, report: Report) -> dict[str, Any]:
+    def judge(self, betas: np.ndarray, report: Report) -> dict[str, Any]:
         """Say what is wrong, and give the numbers for the report.
 
         Raises:
             BadData: in half of the frames a part of the body is far from its landmarks.
         """
+        take = self._take
+        for name, frames in self._empty.items():
+            report.warn(
+                f"{take.name}: nobody is seen by {name} in {len(frames)} frames, the first is {frames[0]}; "
+                "these views are left out"
+            )
         odd = [f"β{number} {value:+.1f}" for number, value in enumerate(betas) if abs(value) > _ODD_BETA]
         if odd:
             report.warn(

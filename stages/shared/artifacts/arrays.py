@@ -92,14 +92,11 @@ def _ready(name: str, value: Any, where: str) -> np.ndarray:
 
 
 def describe_arrays(arrays: Mapping[str, Any], about: Mapping[str, str]) -> dict[str, Any]:
-    """What the manifest says of each array: shape, dtype, `about` text (unit, frame), least and largest.
+    """What the manifest says of each array: shape, dtype, text of `about`, smallest and largest value.
 
-    Raises:
-        ValueError: `about` speaks of an array that is not there.
+    Arguments:
+        about: texts by name; a stage gives the same texts for several files, so names may be missing here.
     """
-    unknown = sorted(set(about) - set(arrays))
-    if unknown:
-        raise ValueError(f"about: no array is called {unknown[0]!r}")
     described = {}
     for name, value in arrays.items():
         array = np.asarray(value)

@@ -25,8 +25,10 @@ from stages.shared.artifacts.external import DigestCache, ExternalFiles, listing
 from stages.shared.artifacts.files import make_folders, remove_folder, rename, write_whole
 from stages.shared.artifacts.manifest import InputEntry, is_plain_name
 from stages.shared.artifacts.progress import Progress
+from stages.shared.artifacts.result import StageResult
 from stages.shared.artifacts.spec import StageSpec
 from stages.shared.errors import BadData, Locked, MissingInput, StorageFailure
+from stages.shared.report import Report
 
 SETTINGS_NAME = "subject.json"
 CURRENT_NAME = "current.json"
@@ -114,6 +116,20 @@ class Workspace:
             with contextlib.suppress(Locked), self.writing():
                 self.drop_progress(spec.name, key)
         return artifact
+
+    def reuse(
+        self, spec: StageSpec, config: Any, inputs: Inputs, report: Report, force: bool = False
+    ) -> StageResult | None:
+        """The result of a stage that is up to date, after saying so; None when it has to run.
+
+        Raises:
+            MissingInput: an input file is not there.
+        """
+        artifact = None if force else self.find(spec, config, inputs)
+        if artifact is None:
+            return None
+        report.say(f"{spec.name} is up to date")
+        return StageResult(artifact, artifact.summary)
 
     def build(self, spec: StageSpec, config: Any, inputs: Inputs, force: bool = False) -> Build:
         """Make an artifact: `with workspace.build(...) as build: build.write_arrays(...)`; `build.artifact`.

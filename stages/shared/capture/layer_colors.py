@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stages.shared.capture.camera import Camera
 from stages.shared.capture.projection import project_colors
 from stages.shared.capture.take import Take
 from stages.shared.meshes.raycast import RayScene
@@ -35,29 +32,8 @@ def layer_colors(
         points, normals: (N, 3) world. labels: (N,) the id each point should be seen as.
         occluder: all surfaces of that frame.
     """
-    points, normals = np.asarray(points), np.asarray(normals)
     if not has_label_images(take, frame):
         return project_colors(points, normals, occluder, take, frame)
-    colors = np.zeros((len(points), 3), np.float32)
-    confidence = np.zeros(len(points), np.float32)
-    for label in np.unique(labels):
-        chosen = np.flatnonzero(labels == label)
-        only = _OneLabel(
-            **{field.name: getattr(take, field.name) for field in fields(Take)}, label=int(label)
-        )
-        colors[chosen], confidence[chosen] = project_colors(
-            points[chosen], normals[chosen], occluder, only, frame
-        )
+    colors, confidence = project_colors(points, normals, occluder, take, frame, labels=labels)
     confidence[confidence < _LEAST] = 0
     return colors, confidence
-
-
-@dataclass(frozen=True, eq=False)
-class _OneLabel(Take):
-    """A take in which everything but one label is masked away."""
-
-    label: int = 0
-
-    def mask(self, camera: str | Camera, frame: int) -> NDArray[np.uint8]:
-        mask, labels = super().mask(camera, frame), self.labels(camera, frame)
-        return mask if labels is None else np.where(labels == self.label, mask, 0).astype(np.uint8)

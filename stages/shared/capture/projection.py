@@ -77,6 +77,7 @@ def project_colors(
     take: Take,
     frame: int,
     cameras: Sequence[str] | None = None,
+    labels: NDArray[np.uint8] | None = None,
 ) -> tuple[Floats, Floats]:
     """Colours of surface points from the images of one frame.
 
@@ -88,6 +89,8 @@ def project_colors(
         occluder: the surface of that frame; what it hides is not seen.
         take, frame: the images.
         cameras: names; the training cameras by default.
+        labels: (N,) label id of each point. Where a view has a label image, its pixels of other labels count
+            as outside of the mask for that point.
 
     Returns:
         Colours (N, 3) f32 sRGB in [0, 1], 0 where no camera sees the point; and confidence (N,) f32, the
@@ -101,7 +104,8 @@ def project_colors(
     for view, name in enumerate(names):
         sight = visibility(points, normals, take.camera(name), occluder)
         seen = sight.visible
-        factor = _edge_factor(take, name, frame, occluder, sight.pixels[seen])
+        ids = None if labels is None else labels[seen]
+        factor = _edge_factor(take, name, frame, occluder, sight.pixels[seen], ids)
         scores[view, seen] = sight.cosine[seen] * sight.density[seen] * factor
         samples[view, seen] = sample_bilinear(take.image(name, frame), sight.pixels[seen]) / np.float32(255)
         confidence[seen] = np.maximum(confidence[seen], sight.cosine[seen] * factor)
@@ -183,9 +187,18 @@ def _four_pixels(
 
 
 def _edge_factor(
-    take: Take, name: str, frame: int, occluder: RayScene, pixels: NDArray[np.float64]
+    take: Take,
+    name: str,
+    frame: int,
+    occluder: RayScene,
+    pixels: NDArray[np.float64],
+    ids: NDArray[np.uint8] | None = None,
 ) -> Floats:
-    """(N,) 1, or `_EDGE_WEIGHT` where a pixel of the image mixes two surfaces or lies outside the mask."""
+    """(N,) 1, or `_EDGE_WEIGHT` where a pixel of the image mixes two surfaces or lies outside the mask.
+
+    Arguments:
+        pixels: (N, 2) on the image. ids: (N,) labels of the points; see `project_colors`.
+    """
     if not len(pixels):
         return np.ones(0, np.float32)
     camera = take.camera(name)
@@ -193,7 +206,8 @@ def _edge_factor(
     right, bottom = (np.ceil(pixels.max(axis=0)).astype(int) + _BORDER).tolist()
     box = left, top, min(right, camera.width), min(bottom, camera.height)
     camera = camera.crop(box)
-    mask = take.mask(name, frame)[box[1] : box[3], box[0] : box[2]]
+    rows_columns = slice(box[1], box[3]), slice(box[0], box[2])
+    mask = take.mask(name, frame)[rows_columns]
     depth = occluder.render(camera).distance
     depth = np.where(np.isfinite(depth), depth, _FAR).astype(np.float32)
     # Second differences are small on a slope, however steep, and large at a step.
@@ -202,12 +216,22 @@ def _edge_factor(
     for axis in (0, 1):
         before, after = np.roll(depth, 1, axis), np.roll(depth, -1, axis)
         step |= np.abs(before - 2 * depth + after) > allowed
-    kernel = np.ones((3, 3), np.uint8)
-    unsure = cv2.dilate((mask < _SURE).astype(np.uint8), kernel) > 0
-    mixed = step | unsure
     columns = np.clip(pixels[:, 0].astype(np.intp) - left, 0, camera.width - 1)
     rows = np.clip(pixels[:, 1].astype(np.intp) - top, 0, camera.height - 1)
-    return np.where(mixed[rows, columns], np.float32(_EDGE_WEIGHT), np.float32(1))
+    shown = None if ids is None else take.labels(name, frame)
+    if ids is None or shown is None:
+        mixed = (step | _unsure(mask))[rows, columns]
+    else:
+        shown, mixed = shown[rows_columns], step[rows, columns]
+        for label in np.unique(ids):
+            own = ids == label
+            mixed[own] |= _unsure(np.where(shown == label, mask, 0).astype(np.uint8))[rows[own], columns[own]]
+    return np.where(mixed, np.float32(_EDGE_WEIGHT), np.float32(1))
+
+
+def _unsure(mask: NDArray[np.uint8]) -> Flags:
+    """(h, w) where a pixel or one next to it shows something of the background."""
+    return np.asarray(cv2.dilate((mask < _SURE).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0)
 
 
 def _views(take: Take, frame: int, cameras: Sequence[str] | None) -> list[str]:

@@ -67,21 +67,18 @@ def label_vertices(
     faces: np.ndarray,
     normals: np.ndarray,
     votes: np.ndarray,
-    garments: tuple[int, ...],
     smoothness: float,
     sweeps: int,
-    smallest_island: float,
-    smallest_share: float,
 ) -> np.ndarray:
-    """Labels (V,) u8 of a template (V, 3) with faces (F, 3) from votes (V, L).
+    """Labels (V,) of a template by a graph cut of the votes.
 
-    Graph cut, then patches smaller than `smallest_island` m² dissolve, then garments that cover less than
-    `smallest_share` of the area.
+    Arguments:
+        vertices: (V, 3) metres. faces: (F, 3). normals: (V, 3) unit. votes: (V, L) ≥ 0.
+        smoothness: cost of a label border per edge on flat ground. sweeps: rounds over all labels.
     """
     edges = mesh_edges(vertices, faces)
     weights = smoothness * edge_weights(normals, edges)
-    labels = alpha_expansion(label_costs(vertices, edges, votes), edges, weights, sweeps)
-    return tidy_labels(vertices, faces, labels, garments, smallest_island, smallest_share)
+    return alpha_expansion(label_costs(vertices, edges, votes), edges, weights, sweeps)
 
 
 def tidy_labels(
@@ -92,7 +89,12 @@ def tidy_labels(
     smallest_island: float,
     smallest_share: float,
 ) -> np.ndarray:
-    """Labels (V,) u8 without islands and without garments that are hardly there."""
+    """Labels (V,) u8 without small patches and without garments that are hardly there.
+
+    Arguments:
+        smallest_island: m²; a smaller patch takes the label around it. smallest_share: of the whole area; a
+            garment that covers less of it dissolves.
+    """
     edges, areas = mesh_edges(vertices, faces), vertex_areas(vertices, faces)
     labels = remove_islands(np.asarray(labels, dtype=np.int64), edges, areas, smallest_island)
     return drop_absent(labels, edges, areas, garments, smallest_share).astype(np.uint8)

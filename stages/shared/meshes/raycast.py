@@ -5,6 +5,7 @@ Open3D works in single precision; the results here are good to about 1e-5 of the
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -72,6 +73,13 @@ class RayScene:
         self.faces = np.ascontiguousarray(faces, dtype=np.int32)
         self._scene = self._open3d.t.geometry.RaycastingScene()
         self._scene.add_triangles(core.Tensor(self.vertices), core.Tensor(self.faces.astype(np.uint32)))
+
+    @classmethod
+    def of_parts(cls, parts: Sequence[tuple[NDArray, NDArray]]) -> RayScene:
+        """The scene of several meshes, each given by vertices (V, 3) and faces (F, 3)."""
+        starts = np.cumsum([0, *(len(vertices) for vertices, _ in parts[:-1])])
+        faces = [faces + start for (_, faces), start in zip(parts, starts, strict=True)]
+        return cls(np.concatenate([vertices for vertices, _ in parts]), np.concatenate(faces))
 
     def first_hits(self, origins: ArrayLike, directions: ArrayLike) -> Hits:
         """First hits of rays with origins (..., 3) and directions (..., 3), which need no unit length."""

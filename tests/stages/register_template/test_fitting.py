@@ -16,10 +16,10 @@ from stages.register_template.fitting.contours import views_of
 from stages.register_template.fitting.fit_scan import fit_scan
 from stages.register_template.fitting.fit_views import Seen, first_pose, misfit_of
 from stages.register_template.fitting.prior import Prior, limits
-from stages.register_template.fitting.rough_hull import rough_hull
 from stages.register_template.fitting.scan_terms import from_scan, outer_points, scan_points
 from stages.register_template.fitting.solve import Free, _moved
 from stages.register_template.fitting.starts import UP_AXES, make_starts
+from stages.register_template.hull import rough_hull
 from stages.shared.body import embedded_body, posed_joints, posed_vertices
 from stages.shared.body.skeleton import JOINT_COUNT, JOINT_INDEX, LEFT_EYE, RIGHT_EYE
 from stages.shared.capture import open_capture
@@ -172,7 +172,7 @@ def test_masks_alone_give_the_pose(tmp_path: Path) -> None:
     seen = Seen(views_of(take, 1, 150))
     assert seen.views[0].bound is None  # no label images
     truth = State.of(a_pose()[1])
-    hull = rough_hull(take, 1)
+    hull = rough_hull(take, 1, SILENT)
     hull_height = np.ptp(hull.vertices[:, 1])
     assert abs(hull_height - np.ptp(vertices_of(body, truth)[:, 1])) < 0.06
     found = first_pose(body, hull, seen, SILENT, effort=0.5, levels=QUICK[:3])

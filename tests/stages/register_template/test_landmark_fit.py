@@ -96,18 +96,18 @@ def test_crossed_legs_are_recognised() -> None:
     assert wrong_parts(BODY, truth, 0, seen) == []
     assert {"feet", "knees"} <= set(wrong_parts(BODY, wrong, 0, seen))
     assert landmark_misfit(BODY, wrong, 0, seen) > 0.1 > landmark_misfit(BODY, truth, 0, seen)
-    heard, check = Listener(), FitCheck()
+    heard, check = Listener(), FitCheck(take())
     check.add(BODY, 0, wrong, seen)
     with pytest.raises(BadData, match="does not fit"):
-        check.judge(take(), wrong.betas, heard)
+        check.judge(wrong.betas, heard)
     assert any("feet" in text for text in heard.warnings)
 
 
 def test_an_unusual_shape_is_said_and_a_usual_one_is_not() -> None:
-    check, heard = FitCheck(), Listener()
-    numbers = check.judge(take(), np.r_[-6.7, np.zeros(9)], heard)
+    check, heard = FitCheck(take()), Listener()
+    numbers = check.judge(np.r_[-6.7, np.zeros(9)], heard)
     assert "β0 -6.7" in heard.warnings[0] and numbers["unusual_betas"] == ["β0 -6.7"]
-    check.judge(take(), np.full(10, 1.5), heard)
+    check.judge(np.full(10, 1.5), heard)
     assert len(heard.warnings) == 1
 
 

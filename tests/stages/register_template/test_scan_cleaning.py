@@ -49,7 +49,7 @@ def test_units_are_found_and_said(person: Mesh, unit: str, size: float) -> None:
     heard = Listener()
     given = replace(person, vertices=np.float32(size) * person.vertices)
     cleaned = clean_scan(given, 200_000, "scan", heard)
-    assert cleaned.told["unit"] == unit
+    assert cleaned.report["unit"] == unit
     assert any(unit in text.split() or f"in {unit};" in text for text in heard.said + heard.warnings) == (
         unit != "m"
     )
@@ -68,7 +68,7 @@ def test_a_clean_scan_is_left_as_it_is(person: Mesh) -> None:
     cleaned = clean_scan(ordinary, 200_000, "scan", Listener())
     np.testing.assert_array_equal(cleaned.mesh.vertices, ordinary.vertices)
     np.testing.assert_array_equal(cleaned.mesh.faces, ordinary.faces)
-    assert cleaned.told["faces_turned"] == 0 and cleaned.told["simplified"] == "unchanged"
+    assert cleaned.report["faces_turned"] == 0 and cleaned.report["simplified"] == "unchanged"
 
 
 def test_doubled_vertices_and_faces_go(person: Mesh) -> None:
@@ -135,7 +135,7 @@ def test_a_scan_in_separate_parts_is_one_person(person: Mesh) -> None:
     jacket = replace(upper, vertices=np.float32(1.05) * upper.vertices - np.float32([0, 0.05, 0]))
     for parts in ((upper, lower), (jacket, upper, lower)):
         cleaned = clean_scan(together(*parts), 200_000, "scan", Listener())
-        assert cleaned.told["unit"] == "m"
+        assert cleaned.report["unit"] == "m"
 
 
 @pytest.mark.parametrize("apart", [0.55, 1.2, 1.9])

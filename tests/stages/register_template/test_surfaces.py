@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from stages.register_template.fitting.bones import State
+from stages.register_template.fitting.contours import views_of
+from stages.register_template.fitting.fit_check import FitCheck
+from stages.register_template.fitting.fit_views import Seen
 from stages.register_template.frame_choice import choose_frame, openness
-from stages.register_template.hull import carve, largest_part, outward, smooth
-from stages.register_template.silhouettes import fewest_views, hull_field, silhouette
+from stages.register_template.hull import carve, largest_part, outward, rough_hull, smooth
+from stages.register_template.silhouettes import fewest_views, hull_field, silhouettes_of
 from stages.shared.body import embedded_body
-from stages.shared.capture.take import Take
+from stages.shared.capture.take import Take, ViewFiles
 from stages.shared.errors import BadData
 from stages.shared.meshes.mesh import Mesh
 from stages.shared.meshes.remesh import remesh, simplify
 from stages.shared.report import SILENT
+from tests.listening import Listener
 from tests.shared.capture import scene
 
 from .scenes import a_pose
@@ -77,13 +85,11 @@ def test_a_hull_is_rounded_between_its_views() -> None:
 
 def test_space_that_no_camera_sees_is_outside() -> None:
     """Cameras so near that each sees little more than the ball: around it there is no evidence."""
-    from stages.register_template.fitting.rough_hull import rough_hull
-
     take = ball_take(8)
-    mesh = rough_hull(take, 0)
+    mesh = rough_hull(take, 0, SILENT)
     assert np.ptp(mesh.vertices, axis=0).max() < 2.4 * scene.RADIUS
     points = scene.CENTRE + np.random.default_rng(0).uniform(-6.0, 6.0, (4000, 3))
-    silhouettes = [silhouette(take, name, 0) for name in take.training_cameras]
+    silhouettes = silhouettes_of(take, 0, 2, "a test", SILENT)
     views = sum(one.camera.in_view(one.camera.project(points)[0]).astype(int) for one in silhouettes)
     assert (views < fewest_views(8)).any()
     assert (hull_field(points, silhouettes, 0.1)[views < fewest_views(8)] == -0.1).all()
@@ -97,6 +103,38 @@ def test_how_many_views_are_enough(cameras: int, views: int) -> None:
 def test_hull_needs_three_cameras() -> None:
     with pytest.raises(BadData, match="2 cameras"):
         carve(ball_take(2), 0, scene.CENTRE + np.eye(3) * 0.1, 0.02, 0.6, SILENT)
+
+
+class AbsentBallTake(BallTake):
+    """The ball is outside of the view of the first camera."""
+
+    def mask(self, camera: object, frame: int) -> np.ndarray:
+        mask = super().mask(camera, frame)
+        return np.zeros_like(mask) if camera == "cam0" else mask
+
+    def view(self, camera: object, frame: int) -> ViewFiles:
+        return ViewFiles(Path("image.png"), Path("mask.png"))
+
+
+def test_a_view_that_shows_nobody_costs_that_view_only() -> None:
+    whole, heard = ball_take(8), Listener()
+    take = AbsentBallTake(**{part.name: getattr(whole, part.name) for part in fields(Take)})
+    body = (sphere(0.8 * scene.RADIUS).vertices + scene.CENTRE).astype(np.float64)
+    hull = carve(take, 0, body, 0.02, 0.6, heard)
+    assert np.linalg.norm(hull.vertices - scene.CENTRE, axis=1).max() < 1.3 * scene.RADIUS
+    assert len(heard.warnings) == 1 and "frame 0" in heard.warnings[0] and "cam0" in heard.warnings[0]
+    assert [view.camera.name for view in views_of(take, 0)] == [f"cam{number}" for number in range(1, 8)]
+    check = FitCheck(take)
+    state = State.of(take.poses[0])
+    check.add(embedded_body(), 0, state, Seen(views_of(take, 0)))
+    check.judge(np.zeros(10), heard)
+    assert "cam0 in 1 frames, the first is 0" in heard.warnings[1]
+    with pytest.raises(BadData, match=r"Only 2 cameras.*a hull needs 3"):
+        few = ball_take(3)
+        carve(
+            AbsentBallTake(**{part.name: getattr(few, part.name) for part in fields(Take)}),
+            0, body, 0.02, 0.6, SILENT,
+        )  # fmt: skip
 
 
 def test_smoothing_takes_noise_away_and_keeps_the_size() -> None:

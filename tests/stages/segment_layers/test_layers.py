@@ -7,7 +7,13 @@ import pytest
 
 from stages.segment_layers.extract import extract_part, join, sink
 from stages.segment_layers.fill import fill_colors
-from stages.shared.meshes.labelling import known_labels, label_costs, label_vertices, nearest_seen
+from stages.shared.meshes.labelling import (
+    known_labels,
+    label_costs,
+    label_vertices,
+    nearest_seen,
+    tidy_labels,
+)
 from stages.shared.meshes.regions import (
     drop_absent,
     face_labels,
@@ -148,7 +154,8 @@ def test_noisy_votes_become_two_clean_halves() -> None:
     votes[np.arange(len(truth)), noisy] = 1.0
     votes[generator.random(len(truth)) < 0.2] = 0.0
     normals = np.tile([0.0, 0, 1], (len(truth), 1))
-    found = label_vertices(vertices, faces, normals, votes, (4, 3, 5), 1.0, 2, 0.001, 0.005)
+    cut = label_vertices(vertices, faces, normals, votes, 1.0, 2)
+    found = tidy_labels(vertices, faces, cut, (4, 3, 5), 0.001, 0.005)
     assert (noisy != truth).mean() > 0.08
     assert (found == truth).mean() > 0.96
     column = np.arange(len(truth)) % SIDE

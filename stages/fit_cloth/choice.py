@@ -55,7 +55,7 @@ class FittedGarment:
         material: name of the candidate. residual: whether half of the mean residual is in the pattern.
         drivers: driver to agreement. trials: the same of every material, without residual; None where the
             simulation failed.
-        drive: the best driver.
+        drive: the best driver. simulation: of the garment with the chosen material, and of those beneath.
     """
 
     pattern: ClothPattern
@@ -64,6 +64,7 @@ class FittedGarment:
     drivers: dict[str, Agreement]
     trials: dict[str, Agreement | None]
     drive: str
+    simulation: OutfitSimulation
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +90,7 @@ def fit_garment(
     tracked: TrackedGarment,
     outlines: Outlines | None,
     pattern: ClothPattern,
-    inner: dict[str, ClothPattern],
+    beneath: OutfitSimulation | None,
     materials: dict[str, Material],
     pose: Poses,
     detail: float,
@@ -97,30 +98,38 @@ def fit_garment(
     """Choose material, residual and driver.
 
     Arguments:
-        pattern: with any material. inner: patterns of the garments beneath, chosen before.
+        pattern: with any material. beneath: simulation of the garments beneath through the take.
         pose: one row, the template's pose. detail: of the simulations.
     """
     name, take = tracked.layer.name, _Take(tracked, outlines)
     trials: dict[str, Agreement | None] = {}
-    best: tuple[Agreement, str, ClothPattern, list[Doubles]] | None = None
+    best: tuple[Agreement, str, ClothPattern, OutfitSimulation, list[Doubles]] | None = None
+    inner = {} if beneath is None else beneath.patterns
     for label, material in materials.items():
         candidate = with_material(pattern, material, tracked.body, pose)
         try:
-            motion = _simulate(tracked, {**inner, name: candidate}, detail)
+            simulation = OutfitSimulation(
+                tracked.body, tracked.poses.betas, {**inner, name: candidate}, detail=detail,
+                keep_steps=True, beneath=beneath,
+            )  # fmt: skip
+            motion = [
+                simulation.positions(tracked.poses, row)[name].astype(np.float64)
+                for row in range(len(tracked.poses))
+            ]
         except BadData:  # left the range of numbers: not a material for this garment
             trials[label] = None
             continue
         places = [_places(candidate, vertices) for vertices in motion]
         agreement = trials[label] = _of(take, places)
         if best is None or agreement.score < best[0].score:
-            best = (agreement, label, candidate, motion)
+            best = (agreement, label, candidate, simulation, motion)
     if best is None:
         raise BadData(
             f"No material keeps the simulation of '{name}' within the range of numbers.",
             name,
             "Look at its layer with gw inspect; without gw fit-cloth it is driven by what was learned.",
         )
-    agreement, label, chosen, motion = best
+    agreement, label, chosen, simulation, motion = best
     residual, corrected = _residual(tracked, chosen, motion)
     held_out = _of(take, corrected)
     use = held_out.score < agreement.score
@@ -132,20 +141,11 @@ def fit_garment(
     if learned is not None:
         drivers["learned"] = _of(take, learned)
     drive = default_driver(drivers, chosen.faces, len(chosen.vertices))
-    return FittedGarment(chosen, label, use, drivers, trials, drive)
+    return FittedGarment(chosen, label, use, drivers, trials, drive, simulation)
 
 
 def _of(take: _Take, places: Sequence[NDArray]) -> Agreement:
     return take.agreement(lambda row: places[row])
-
-
-def _simulate(tracked: TrackedGarment, patterns: dict[str, ClothPattern], detail: float) -> list[Doubles]:
-    """Vertices of the outermost garment in every frame of the take."""
-    simulation = OutfitSimulation(tracked.body, tracked.poses.betas, patterns, detail=detail)
-    name = tracked.layer.name
-    return [
-        simulation.positions(tracked.poses, row)[name].astype(np.float64) for row in range(len(tracked.poses))
-    ]
 
 
 def _places(pattern: ClothPattern, vertices: Doubles) -> NDArray[np.float32]:

@@ -31,9 +31,9 @@ from stages.shared.artifacts import Artifact, ExternalFiles, Workspace
 from stages.shared.artifacts.result import StageResult
 from stages.shared.body import BodyModel, Poses
 from stages.shared.capture.template_views import template_take
-from stages.shared.cloth.pattern import ClothPattern
 from stages.shared.layers import garments_of
 from stages.shared.outfit.layer import layer_of_training
+from stages.shared.outfit.simulation import OutfitSimulation
 from stages.shared.plan import Plan
 from stages.shared.poses.read import load_poses
 from stages.shared.report import SILENT, Report
@@ -70,7 +70,7 @@ def run(
     take = _first_frames(poses, config.frames)
     _, seen = template_take(workspace, registered)
     with workspace.build(FIT_CLOTH, config, external, force=force) as build:
-        patterns: dict[str, ClothPattern] = {}
+        beneath: OutfitSimulation | None = None
         garments: dict[str, Any] = {}
         summary: dict[str, Any] = {}
         for name in garments_of(trained.json("model.json")["layers"]):
@@ -81,8 +81,8 @@ def run(
             pattern = build_pattern(name, mesh, layer.maps, body, pose, config.vertices, first)
             tracked = tracked_garment(layer, body, take, config.parts)
             outlines = None if seen is None else read_outlines(seen, rows, name, layer.maps.pitch)
-            fitted = fit_garment(tracked, outlines, pattern, patterns, materials, pose, config.detail)
-            patterns[name] = fitted.pattern
+            fitted = fit_garment(tracked, outlines, pattern, beneath, materials, pose, config.detail)
+            beneath = fitted.simulation
             build.write_arrays(name, fitted.pattern.arrays())
             garments[name] = {"material": fitted.pattern.material.to_json(), "drive": fitted.drive}
             summary[name] = _figures(fitted)
@@ -99,7 +99,7 @@ def plan(subject: Path, config: FitClothConfig = FitClothConfig()) -> Plan:
     inputs = _inputs(workspace)
     trained = inputs["train"]
     names = garments_of(trained.json("model.json")["layers"])
-    simulations = len(config.materials) * sum(range(1, len(names) + 1))
+    simulations = len(config.materials) * len(names)
     frame = _SECONDS_PER_FRAME * config.detail * config.vertices / 1100
     return Plan(
         inputs=[str(part.path) for part in inputs.values()],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -108,13 +109,16 @@ class Simulator:
             state.positions[one.pinned] for state, one in zip(self.states, self.garments, strict=True)
         ]
 
-    def advance(self, body: Doubles, pins: list[Doubles], seconds: float) -> None:
+    def advance(
+        self, body: Doubles, pins: list[Doubles], seconds: float, known: Sequence[Doubles] = ()
+    ) -> None:
         """Move on to the next frame.
 
         Arguments:
             body: (B, 3) metres, world, at the end of the frame.
             pins: per garment (K, 3) where its pinned vertices are then.
             seconds: length of the frame.
+            known: (V, 3) positions of the innermost garments at its end, simulated before.
 
         Raises:
             BadData: the body or a pin is not finite, or a garment's motion left the range of numbers.
@@ -125,7 +129,10 @@ class Simulator:
             require_finite("cloth simulation", pins=pins[index])
             state = self.states[index]
             before = state.positions.copy()
-            self._advance_garment(index, beneath, pins[index], seconds)
+            if index < len(known):
+                state.positions[:] = known[index]
+            else:
+                self._advance_garment(index, beneath, pins[index], seconds)
             if not np.isfinite(state.positions).all():
                 raise BadData(
                     f"The simulation of '{one.name}' left the range of numbers.",

@@ -38,6 +38,9 @@ class OutfitSimulation:
         body_model: bones and surface. betas: (10,) shape of the wearer.
         patterns: layer name to pattern, inner to outer.
         gravity: (3,) m/s², world. detail: simulation steps over those of the materials.
+        keep_steps: whether every step stays in memory, so that another simulation can build on this one.
+        beneath: a simulation with `keep_steps` of the inner garments, which are not simulated again. It must
+            have reached the rows of the same motion that are asked for.
     """
 
     def __init__(
@@ -47,7 +50,12 @@ class OutfitSimulation:
         patterns: Mapping[str, ClothPattern],
         gravity: tuple[float, float, float] = GRAVITY,
         detail: float = 1.0,
+        keep_steps: bool = False,
+        beneath: OutfitSimulation | None = None,
     ) -> None:
+        self._beneath, self._keep_steps = beneath, keep_steps
+        self._steps: list[list[NDArray[np.float64]]] = []
+        self._step_count = 0
         self.body_model, self.patterns = body_model, dict(patterns)
         friction = next(iter(self.patterns.values())).material.skin_friction
         self._body = BodyCollider(body_model, betas, friction)
@@ -68,7 +76,7 @@ class OutfitSimulation:
         """Vertices (V, 3) f32 m, world, of every garment in a row of `poses`."""
         with self._lock:
             if self._poses is not poses and not _same_motion(self._poses, poses):
-                self._poses, self._rows = poses, []
+                self._poses, self._rows, self._steps, self._step_count = poses, [], [], 0
             while len(self._rows) <= row:
                 self._advance(poses, len(self._rows))
             return self._rows[row]
@@ -101,7 +109,11 @@ class OutfitSimulation:
             chosen = np.flatnonzero(self.patterns[name].pinned)
             transforms = skin.transforms(step.rotations, step.translation) if len(chosen) else None
             pins.append(np.zeros((0, 3)) if transforms is None else skin.positions(transforms, chosen))
-        self._simulator.advance(body, pins, step.seconds)
+        known = [] if self._beneath is None else self._beneath._steps[self._step_count]
+        self._simulator.advance(body, pins, step.seconds, known)
+        self._step_count += 1
+        if self._keep_steps:
+            self._steps.append([state.positions.copy() for state in self._simulator.states])
 
 
 def _same_motion(one: Poses | None, other: Poses) -> bool:

@@ -52,6 +52,21 @@ def test_rows_in_any_order_are_the_same_bytes() -> None:
     assert other == [one[row] for row in (3, 1, 0, 2)]
 
 
+def test_a_simulation_on_top_of_another_has_the_bytes_of_one_of_both() -> None:
+    """Also across a cut, after which the garments settle again."""
+    upper = simulated("upper", FAST)
+    assert LOWER.cloth is not None and upper.cloth is not None
+    moved = POSES.translation.copy()
+    moved[2:] += [40.0, 0.0, 0.0]
+    poses, body, betas = replace(POSES, translation=moved), embedded_body(), np.zeros(10)
+    both = {"lower": LOWER.cloth, "upper": upper.cloth}
+    beneath = OutfitSimulation(body, betas, {"lower": LOWER.cloth}, keep_steps=True)
+    beneath.positions(poses, 3)
+    at_once = OutfitSimulation(body, betas, both).positions(poses, 3)
+    on_top = OutfitSimulation(body, betas, both, beneath=beneath).positions(poses, 3)
+    assert [at_once[name].tobytes() for name in both] == [on_top[name].tobytes() for name in both]
+
+
 def test_a_jump_of_the_root_is_a_cut_and_settles_again() -> None:
     """After the jump the garment is around the body again, and not left behind or torn."""
     moved = POSES.translation.copy()

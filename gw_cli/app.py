@@ -26,6 +26,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "Make": (
         "import_capture",
         "register_template",
+        "label",
         "canonicalize",
         "segment_layers",
         "bake_maps",

@@ -12,6 +12,7 @@ SEGMENT_LAYERS = StageSpec(
     "segment-layers", "gw segment-layers SUBJECT", ("register-template", "canonicalize"), code_version=3
 )
 BAKE_MAPS = StageSpec("bake-maps", "gw bake-maps SUBJECT", ("canonicalize", "segment-layers"), code_version=2)
+LABEL = StageSpec("label", "gw label SUBJECT", ("register-template",))
 TRAIN = StageSpec("train", "gw train SUBJECT", ("register-template", "bake-maps"), code_version=7)
 DISTILL = StageSpec(
     "distill", "gw distill SUBJECT", ("register-template", "bake-maps", "train"), code_version=2
@@ -24,5 +25,5 @@ FIT_CLOTH = StageSpec(
 )
 
 PIPELINE: tuple[StageSpec, ...] = (REGISTER_TEMPLATE, CANONICALIZE, SEGMENT_LAYERS, BAKE_MAPS, TRAIN)
-OPTIONAL: tuple[StageSpec, ...] = (DISTILL, FIT_CLOTH)
+OPTIONAL: tuple[StageSpec, ...] = (LABEL, DISTILL, FIT_CLOTH)
 BY_NAME = {spec.name: spec for spec in PIPELINE + OPTIONAL}

@@ -30,7 +30,7 @@ from stages.pipeline import BAKE_MAPS, FIT_CLOTH, REGISTER_TEMPLATE, SEGMENT_LAY
 from stages.shared.artifacts import Artifact, ExternalFiles, Workspace
 from stages.shared.artifacts.result import StageResult
 from stages.shared.body import BodyModel, Poses
-from stages.shared.capture.template_views import template_take
+from stages.shared.capture.template_views import capture_files, template_take
 from stages.shared.layers import garments_of
 from stages.shared.outfit.layer import layer_of_training
 from stages.shared.outfit.simulation import OutfitSimulation
@@ -131,8 +131,7 @@ def _label_images(
     files = [view.labels for view in views if view.labels is not None]
     if not files:
         return [], {}
-    groups = {"capture/cameras": list(take.calibration_files), "capture/labels": files}
-    return rows, {name: ExternalFiles(name, capture.root, paths) for name, paths in groups.items()}
+    return rows, capture_files(capture, {"cameras": list(take.calibration_files), "labels": files})
 
 
 def _first_frames(poses: Poses, count: int) -> Poses:

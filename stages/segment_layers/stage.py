@@ -164,8 +164,8 @@ def choose_labels(
         raise MissingInput(
             "There are no labels that say which part is skin, hair, shoe, upper, lower or outer garment.",
             f"label images of frame {frame}" if config.labels != "scan" else "labels of the scan",
-            f"Add label images (one PNG per camera with ids {label_legend()}), "
-            "or register a scan with a `label` per vertex.",
+            "Run gw label, which guesses them; or add label images (one PNG per camera with ids "
+            f"{label_legend()}), or register a scan with a `label` per vertex.",
         )
     island, share = config.smallest_island_m2, config.smallest_share
     return tidy_labels(template.world, template.faces, labels, GARMENT_LABELS, island, share), source

@@ -14,6 +14,7 @@ from stages.shared.avatar.maps import LayerMaps
 from stages.shared.body import BodyModel, Poses
 from stages.shared.capture import Capture, Take
 from stages.shared.capture.subject import open_subject_capture
+from stages.shared.capture.template_views import capture_files
 from stages.shared.errors import MissingInput, UsageProblem
 from stages.shared.layers import in_order
 from stages.shared.poses import load_poses
@@ -47,11 +48,11 @@ class Source:
     @property
     def inputs(self) -> dict[str, Artifact | ExternalFiles]:
         groups = ("cameras", "images", "masks", "labels")
-        files = {f"capture/{group}": self.capture.files(group, "train") for group in groups}
+        files = {group: self.capture.files(group, "train") for group in groups}
         inputs: dict[str, Artifact | ExternalFiles] = {
             "register-template": self.registered,
             "bake-maps": self.baked,
-            **{name: ExternalFiles(name, self.capture.root, paths) for name, paths in files.items() if paths},
+            **capture_files(self.capture, files),
         }
         for files_of in (self.warm_start.files, self.pose_files):
             if files_of is not None:

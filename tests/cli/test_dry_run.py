@@ -40,6 +40,9 @@ REFUSED = """
 66 register-template person -o out --virtual-cameras 12
 2 register-template file -o out --virtual-cameras 12
 2 register-template person -o out --fit --refine
+66 label nowhere
+66 label subject --strokes nowhere
+65 label subject --strokes file
 66 canonicalize nowhere
 65 canonicalize file
 65 canonicalize file -o out

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 import pytest
 
+from stages.label.strokes import read_strokes
 from stages.shared.capture import native_writer, open_capture
 from stages.shared.capture.native import read_cameras
 from stages.shared.poses import load_poses
@@ -33,7 +34,7 @@ ELSEWHERE = {
 PLANNED = ("train", "bench curves", "bench tradeoff", "view")  # --dry-run here
 # Not on tubes: they need the artifacts of every stage, or the true meshes of a simulated capture.
 WHOLE_CHAIN = (
-    "register-template", "canonicalize", "segment-layers", "bake-maps", "fit-cloth", "--true-meshes",
+    "register-template", "label", "canonicalize", "segment-layers", "bake-maps", "fit-cloth", "--true-meshes",
 )  # fmt: skip
 NO_RECORDINGS = ("import",)  # tests/stages/import_capture makes videos and pictures, and imports them
 SHORT = {
@@ -133,8 +134,11 @@ def json_blocks(page: str) -> list[str]:
     return [block.text for block in blocks(DOCS / page) if block.kind == "json"]
 
 
-def test_the_native_capture_that_is_shown_is_read(tmp_path: Path) -> None:
-    about, calibration = json_blocks("formats.md")
+def test_the_native_capture_and_strokes_that_are_shown_are_read(tmp_path: Path) -> None:
+    about, calibration, strokes = json_blocks("formats.md")
+    strokes_path = tmp_path / "strokes.json"
+    strokes_path.write_text(strokes)
+    assert [stroke.view for stroke in read_strokes(strokes_path)] == ["cam03", None]
     cameras_path = tmp_path / "calibration.json"
     cameras_path.write_text(calibration)
     cameras, held_out = read_cameras(cameras_path)

@@ -165,12 +165,14 @@ class Capture:
         format: its layout.
         takes: in the order of their names.
         body_model_path: body model that came with the capture, if any.
+        label_folder: folder of label images that `gw label` made for a subject; None without them.
     """
 
     root: Path
     format: str
     takes: tuple[Take, ...]
     body_model_path: Path | None = None
+    label_folder: Path | None = None
 
     @property
     def training_takes(self) -> tuple[Take, ...]:

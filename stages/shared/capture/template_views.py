@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from stages.shared.artifacts import Artifact, ExternalFiles, Workspace
@@ -26,10 +27,26 @@ def frame_files(capture: Capture | None, take: Take | None, frame: int) -> dict[
     if capture is None or take is None:
         return {}
     views = [take.view(name, frame) for name in take.training_cameras if take.has_image(name, frame)]
-    groups: dict[str, list[Path]] = {
-        "capture/cameras": list(take.calibration_files),
-        "capture/images": [view.image for view in views],
-        "capture/masks": [view.mask for view in views],
-        "capture/labels": [view.labels for view in views if view.labels is not None],
+    groups = {
+        "cameras": list(take.calibration_files),
+        "images": [view.image for view in views],
+        "masks": [view.mask for view in views],
+        "labels": [view.labels for view in views if view.labels is not None],
     }
-    return {name: ExternalFiles(name, capture.root, files) for name, files in groups.items() if files}
+    return capture_files(capture, groups)
+
+
+def capture_files(capture: Capture, groups: Mapping[str, Sequence[Path]]) -> dict[str, ExternalFiles]:
+    """Files of a subject's capture as inputs of a stage: `capture/<group>`, without empty groups.
+
+    Label images that `gw label` made are a group of their own, `labels/images`: they lie in the workspace.
+    """
+    inputs = {}
+    for group, files in groups.items():
+        made = [path for path in files if capture.label_folder and path.is_relative_to(capture.label_folder)]
+        others = [path for path in files if path not in set(made)]
+        if others:
+            inputs[f"capture/{group}"] = ExternalFiles(f"capture/{group}", capture.root, others)
+        if made and capture.label_folder:
+            inputs["labels/images"] = ExternalFiles("labels/images", capture.label_folder, made)
+    return inputs

@@ -20,7 +20,7 @@ from stages.shared.body.posed import posed_body
 from stages.shared.body.turn import turned_poses
 from stages.shared.capture.convention import AS_IS
 from stages.shared.errors import BadData, UsageProblem
-from stages.shared.meshes.load import load_mesh
+from stages.shared.meshes.load import load_centred_mesh, load_mesh
 from stages.shared.meshes.mesh import Mesh
 from stages.shared.meshes.picture import two_sided_picture
 from stages.shared.meshes.raycast import RayScene
@@ -40,7 +40,12 @@ def register_mesh(source: Source, config: RegisterTemplateConfig, report: Report
     """
     assert source.mesh is not None
     body, where = source.body, str(source.mesh)
-    cleaned = clean_scan(load_mesh(source.mesh), config.most_faces, where, report)
+    scan, middle = (
+        load_centred_mesh(source.mesh) if source.params is None else (load_mesh(source.mesh), np.zeros(3))
+    )
+    if middle.any():
+        report.warn(f"the scan is far from the origin, around {middle.tolist()}; it is moved to the origin")
+    cleaned = clean_scan(scan, config.most_faces, where, report)
     mesh = cleaned.mesh
     if source.params is None:
         report.step("fitting the body to the mesh")

@@ -85,24 +85,26 @@ def run(case: Path, seconds: float) -> str | None:
             "PYTHONPATH": os.pathsep.join([str(REPOSITORY), str(root / "_tools")]),
             "PATH": os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]),
         }
-        # With job control, jobs in the background can be interrupted as in a terminal.
-        process = subprocess.Popen(
-            ["bash", "-m", "-c", BEFORE.get(case.name, "") + "\n. ./cmd.sh"],
-            cwd=root / case.name,
-            env={**os.environ, **paths},
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            errors="replace",
-            start_new_session=True,
-        )
-        try:
-            return process.communicate(timeout=seconds)[0]
-        except subprocess.TimeoutExpired:
-            return None
-        finally:
-            end_session(process.pid)
-            process.communicate()
+        # With job control, jobs in the background can be interrupted as in a terminal. The output goes to a
+        # file because a server that is left running would keep a pipe open.
+        with (Path(scratch) / "output.txt").open("w+", errors="replace") as output:
+            process = subprocess.Popen(
+                ["bash", "-c", f"set -m\n{BEFORE.get(case.name, '')}\n. ./cmd.sh"],
+                cwd=root / case.name,
+                env={**os.environ, **paths},
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+            try:
+                process.wait(seconds)
+            except subprocess.TimeoutExpired:
+                return None
+            finally:
+                end_session(process.pid)
+                process.wait()
+            output.seek(0)
+            return output.read()
 
 
 def end_session(leader: int) -> None:

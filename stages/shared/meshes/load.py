@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from stages.shared.artifacts.files import write_whole
 from stages.shared.errors import BadData
 from stages.shared.input_files import check_input_file, read_input, strict_json, without_mark
-from stages.shared.meshes.mesh import Mesh, check_mesh
+from stages.shared.meshes.mesh import Mesh, MeshArrays, check_mesh
 from stages.shared.meshes.ply import decode_ply, encode_ply
 
 MAX_FILE_BYTES: Final = 2 << 30
+_FAR = 50.0  # sizes of a mesh between its middle and the origin
 FORMATS: Final = (".ply", ".obj", ".stl", ".glb", ".off")
 
 
@@ -27,12 +28,23 @@ def load_mesh(path: Path) -> Mesh:
         MissingInput: no such file.
         BadData: another format, damaged, NaN, no faces, more than 20 million vertices.
     """
-    path = Path(path)
-    check_mesh_file(path)
-    suffix = path.suffix.lower()
-    data = without_mark(read_input(path, "a mesh", MAX_FILE_BYTES))
-    mesh = decode_ply(data, str(path)) if suffix == ".ply" else _decode_with_trimesh(data, suffix[1:], path)
-    return check_mesh(mesh, str(path))
+    return check_mesh(Mesh(*_read(Path(path))), str(path))
+
+
+def load_centred_mesh(path: Path) -> tuple[Mesh, NDArray[np.float64]]:
+    """A mesh as `load_mesh` reads it, moved to the origin if it is far away; and where its middle was (3,).
+
+    32 bits cannot hold the details of a person at the coordinates of a map, so the shift is made in 64 bits.
+    It is zero for a mesh near the origin.
+    """
+    arrays = _read(Path(path))
+    vertices = arrays.vertices[np.isfinite(arrays.vertices).all(axis=1)]
+    middle = np.zeros(3)
+    if len(vertices):
+        low, high = vertices.min(axis=0), vertices.max(axis=0)
+        if np.abs(low + high).max() / 2 > _FAR * (high - low).max():
+            middle = np.round((low + high) / 2)
+    return check_mesh(Mesh(*arrays._replace(vertices=arrays.vertices - middle)), str(path)), middle
 
 
 def check_mesh_file(path: Path) -> None:
@@ -54,7 +66,14 @@ def write_ply(path: Path, mesh: Mesh, normals: NDArray[np.float32] | None = None
     write_whole(Path(path), encode_ply(mesh, normals))
 
 
-def _decode_with_trimesh(data: bytes, kind: str, path: Path) -> Mesh:
+def _read(path: Path) -> MeshArrays:
+    check_mesh_file(path)
+    suffix = path.suffix.lower()
+    data = without_mark(read_input(path, "a mesh", MAX_FILE_BYTES))
+    return decode_ply(data, str(path)) if suffix == ".ply" else _decode_with_trimesh(data, suffix[1:], path)
+
+
+def _decode_with_trimesh(data: bytes, kind: str, path: Path) -> MeshArrays:
     """All other formats; given as a stream without a folder, so that it cannot refer to other files."""
     import trimesh
 
@@ -74,7 +93,7 @@ def _decode_with_trimesh(data: bytes, kind: str, path: Path) -> Mesh:
         raise BadData("The mesh's vertices are not points in space.", str(path), "Export the mesh again.")
     if kind == "stl" and len(vertices):
         vertices, faces = _weld(vertices, faces)  # STL repeats every corner
-    return Mesh(vertices.reshape(-1, 3), faces.reshape(-1, 3), colors)
+    return MeshArrays(vertices.reshape(-1, 3).astype(np.float64), faces.reshape(-1, 3), colors)
 
 
 def _check_glb_counts(data: bytes, path: Path) -> None:

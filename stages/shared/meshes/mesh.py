@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,8 +33,19 @@ class Mesh:
     labels: NDArray[np.uint8] | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "vertices", np.ascontiguousarray(self.vertices, dtype=np.float32))
+        with np.errstate(over="ignore"):  # what is too large for 32 bits becomes infinite, and is refused
+            vertices = np.ascontiguousarray(self.vertices, dtype=np.float32)
+        object.__setattr__(self, "vertices", vertices)
         object.__setattr__(self, "faces", np.ascontiguousarray(self.faces, dtype=np.int32))
+
+
+class MeshArrays(NamedTuple):
+    """The arrays of a `Mesh` as a file has them: vertices (V, 3) f64 in its own coordinates."""
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.integer]
+    colors: NDArray[np.uint8] | None = None
+    labels: NDArray[np.uint8] | None = None
 
 
 def check_mesh(mesh: Mesh, where: str) -> Mesh:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.shared.errors import BadData
-from stages.shared.meshes.mesh import MAX_FACES, MAX_VERTICES, Mesh
+from stages.shared.meshes.mesh import MAX_FACES, MAX_VERTICES, Mesh, MeshArrays
 
 MAX_HEADER_BYTES: Final = 65_536
 _TYPES: Final = {
@@ -39,8 +39,8 @@ class _Element:
         return all(item.count_kind is None for item in self.properties)
 
 
-def decode_ply(data: bytes, where: str) -> Mesh:
-    """The mesh in the content of a PLY file; polygons are cut into fans of triangles.
+def decode_ply(data: bytes, where: str) -> MeshArrays:
+    """The arrays of the mesh in the content of a PLY file; polygons are cut into fans of triangles.
 
     Read are x y z, red green blue (u8, or float 0..1), `label` per vertex, and the lists `vertex_indices` or
     `vertex_index` of the faces; all else is skipped.
@@ -64,7 +64,7 @@ def decode_ply(data: bytes, where: str) -> Mesh:
                     faces = polygons
     else:
         columns, faces = _ascii_body(data[start:], elements, where)
-    return _mesh(columns, faces, where)
+    return _arrays(columns, faces, where)
 
 
 def encode_ply(mesh: Mesh, normals: NDArray[np.float32] | None = None) -> list[bytes]:
@@ -284,10 +284,10 @@ def _fan(polygons: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.stack(fans, axis=1).reshape(-1, 3)
 
 
-def _mesh(columns: dict[str, NDArray[np.generic]], faces: NDArray[np.int64], where: str) -> Mesh:
+def _arrays(columns: dict[str, NDArray[np.generic]], faces: NDArray[np.int64], where: str) -> MeshArrays:
     if not all(axis in columns for axis in "xyz"):
         raise _bad("it has no vertices with x, y and z", where)
-    vertices = np.stack([columns[axis].astype(np.float32) for axis in "xyz"], axis=1)
+    vertices = np.stack([columns[axis].astype(np.float64) for axis in "xyz"], axis=1)
     if len(faces) and (faces.min() < -(2**31) or faces.max() >= 2**31):
         raise _bad("a face names an impossible vertex", where)
     colors = None
@@ -299,8 +299,7 @@ def _mesh(columns: dict[str, NDArray[np.generic]], faces: NDArray[np.int64], whe
     labels = None
     if "label" in columns:
         labels = np.clip(np.nan_to_num(columns["label"].astype(np.float64), nan=255), 0, 255).astype(np.uint8)
-    with np.errstate(invalid="ignore"):
-        return Mesh(vertices, faces.astype(np.int32), colors, labels)
+    return MeshArrays(vertices, faces.astype(np.int32), colors, labels)
 
 
 def _bad(reason: str, where: str) -> BadData:

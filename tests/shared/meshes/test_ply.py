@@ -9,6 +9,7 @@ import trimesh
 
 from stages.shared.errors import BadData, GwError
 from stages.shared.meshes import Mesh, load_mesh, write_ply
+from stages.shared.meshes.load import load_centred_mesh
 
 
 @pytest.fixture
@@ -84,6 +85,51 @@ def test_other_formats(tmp_path: Path, kind: str) -> None:
     found = load_mesh(tmp_path / f"box{kind}")
     assert (len(found.vertices), len(found.faces)) == (8, 12)
     assert trimesh.Trimesh(found.vertices, found.faces, process=False).volume == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("kind", [".obj", ".off", ".ply", "ascii.ply", ".glb"])
+@pytest.mark.parametrize("place", [(512_345.25, 5_402_118.5, 371.0), (-4.2e6, 1e5, 4.8e6), (0.0, 9e7, 0.0)])
+def test_a_scan_far_from_the_origin_is_centred_in_double(
+    tmp_path: Path, kind: str, place: tuple[float, float, float]
+) -> None:
+    ball = trimesh.creation.icosphere(2, 0.9)
+    moved = ball.vertices + place
+    path = tmp_path / f"scan{kind}"
+    if kind == ".obj":
+        rows = ["v {:.6f} {:.6f} {:.6f}".format(*vertex) for vertex in moved]
+        path.write_text("\n".join(rows + ["f {} {} {}".format(*(face + 1)) for face in ball.faces]))
+    elif kind == ".off":
+        rows = ["{:.6f} {:.6f} {:.6f}".format(*vertex) for vertex in moved]
+        rows = ["OFF", f"{len(moved)} {len(ball.faces)} 0", *rows]
+        path.write_text("\n".join(rows + ["3 {} {} {}".format(*face) for face in ball.faces]))
+    elif kind == ".glb":  # far away by the transform of its node
+        scene = trimesh.Scene()
+        scene.add_geometry(ball, transform=trimesh.transformations.translation_matrix(place))
+        path.write_bytes(scene.export(file_type="glb"))
+    else:
+        header = ["ply", "format ascii 1.0" if "ascii" in kind else "format binary_little_endian 1.0"]
+        header += [f"element vertex {len(moved)}", *(f"property double {axis}" for axis in "xyz")]
+        header += [f"element face {len(ball.faces)}", "property list uchar int vertex_indices", "end_header"]
+        if "ascii" in kind:
+            rows = ["{:.6f} {:.6f} {:.6f}".format(*vertex) for vertex in moved]
+            path.write_text("\n".join([*header, *rows, *("3 {} {} {}".format(*face) for face in ball.faces)]))
+        else:
+            faces = np.zeros(len(ball.faces), [("count", "u1"), ("corners", "<i4", 3)])
+            faces["count"], faces["corners"] = 3, ball.faces
+            path.write_bytes(("\n".join(header) + "\n").encode() + moved.tobytes() + faces.tobytes())
+    found, middle = load_centred_mesh(path)
+    assert np.abs(middle - place).max() <= 0.5
+    order = np.lexsort(np.round(found.vertices + (middle - place), 4).T)
+    expected = ball.vertices[np.lexsort(np.round(ball.vertices, 4).T)]
+    assert np.abs(found.vertices[order] + (middle - place) - expected).max() < 2e-5
+
+
+def test_a_scan_near_the_origin_stays_where_it_is(tmp_path: Path) -> None:
+    box = trimesh.creation.box()
+    box.apply_translation([30.0, 0, 0])
+    box.export(tmp_path / "box.obj")
+    found, middle = load_centred_mesh(tmp_path / "box.obj")
+    assert not middle.any() and np.array_equal(found.vertices, load_mesh(tmp_path / "box.obj").vertices)
 
 
 def test_an_obj_cannot_name_other_files(tmp_path: Path) -> None:

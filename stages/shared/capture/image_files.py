@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 import zlib
 from collections.abc import Iterator
@@ -20,6 +21,7 @@ _EXIF = b"Exif\x00\x00"
 _ORIENTATION_TAG = 0x0112
 _whole_files: set[tuple[str, int, int]] = set()  # JPEG files of this process that were found whole
 # Start-of-frame markers; C4, C8 and CC share the range but mean other things.
+_MARKER = re.compile(rb"\xff[^\x00\x01\xff\xd0-\xd8]")  # of a segment, also after compressed data
 _JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 
 
@@ -101,6 +103,8 @@ def check_jpeg_data(data: bytes, path: Path) -> None:
     key = str(path), len(data), zlib.crc32(data)
     if key in _whole_files:
         return
+    if _lacks_scans(data):
+        raise damaged(path, "scans of its progressive data are missing")
     import av  # loads FFmpeg
 
     decoder = av.CodecContext.create("mjpeg", "r")
@@ -196,6 +200,35 @@ def _segments(data: bytes) -> Iterator[tuple[int, bytes]]:
         length = struct.unpack_from(">H", data, position + 2)[0]
         yield marker, data[position + 4 : position + 2 + length]
         position += 2 + length
+
+
+def _lacks_scans(data: bytes) -> bool:
+    """Whether coefficients of a progressive JPEG are not there down to their last bit.
+
+    Such a file was cut between two of its scans, and decoders show what there is: a blurred picture. Each
+    scan header names components, a band of coefficients and the lowest bit it brings (ITU-T T.81, B.2.3).
+    """
+    bits: dict[int, list[int]] = {}  # component to the lowest bit there is of each coefficient
+    position = 2
+    while match := _MARKER.search(data, position):
+        marker, position = match[0][1], match.end()
+        if marker == 0xD9:
+            break
+        if position + 2 > len(data):
+            break
+        length = struct.unpack_from(">H", data, position)[0]
+        segment = data[position + 2 : position + length]
+        position += length
+        if marker == 0xC2 and len(segment) >= 6:
+            bits = {component: [99] * 64 for component in segment[6 : 6 + 3 * segment[5] : 3]}
+        elif marker in _JPEG_FRAMES:
+            return False  # another kind of JPEG
+        elif marker == 0xDA and bits and segment and len(segment) >= 4 + 2 * segment[0]:
+            first, last, low = segment[1 + 2 * segment[0] :][:3]
+            for component in segment[1 : 1 + 2 * segment[0] : 2]:
+                if component in bits and first <= last < 64:
+                    bits[component][first : last + 1] = [low & 15] * (last + 1 - first)
+    return any(bit for lowest in bits.values() for bit in lowest)
 
 
 def _exif_orientation(exif: bytes) -> int:

@@ -28,7 +28,7 @@ def load_mesh(path: Path) -> Mesh:
         MissingInput: no such file.
         BadData: another format, damaged, NaN, no faces, more than 20 million vertices.
     """
-    return check_mesh(Mesh(*_read(Path(path))), str(path))
+    return check_mesh(_read(Path(path)).mesh(), str(path))
 
 
 def load_centred_mesh(path: Path) -> tuple[Mesh, NDArray[np.float64]]:
@@ -44,7 +44,7 @@ def load_centred_mesh(path: Path) -> tuple[Mesh, NDArray[np.float64]]:
         low, high = vertices.min(axis=0), vertices.max(axis=0)
         if np.abs(low + high).max() / 2 > _FAR * (high - low).max():
             middle = np.round((low + high) / 2)
-    return check_mesh(Mesh(*arrays._replace(vertices=arrays.vertices - middle)), str(path)), middle
+    return check_mesh(arrays.mesh(middle), str(path)), middle
 
 
 def check_mesh_file(path: Path) -> None:

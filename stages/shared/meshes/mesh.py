@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from stages.shared.errors import BadData
 
@@ -33,9 +33,7 @@ class Mesh:
     labels: NDArray[np.uint8] | None = None
 
     def __post_init__(self) -> None:
-        with np.errstate(over="ignore"):  # what is too large for 32 bits becomes infinite, and is refused
-            vertices = np.ascontiguousarray(self.vertices, dtype=np.float32)
-        object.__setattr__(self, "vertices", vertices)
+        object.__setattr__(self, "vertices", np.ascontiguousarray(self.vertices, dtype=np.float32))
         object.__setattr__(self, "faces", np.ascontiguousarray(self.faces, dtype=np.int32))
 
 
@@ -46,6 +44,12 @@ class MeshArrays(NamedTuple):
     faces: NDArray[np.integer]
     colors: NDArray[np.uint8] | None = None
     labels: NDArray[np.uint8] | None = None
+
+    def mesh(self, origin: ArrayLike = 0.0) -> Mesh:
+        """The mesh with `origin` (3,) of the file's coordinates at zero."""
+        with np.errstate(over="ignore"):  # what is too large for 32 bits becomes infinite, and is refused
+            vertices = (self.vertices - np.asarray(origin)).astype(np.float32)
+        return Mesh(vertices, self.faces.astype(np.int32), self.colors, self.labels)
 
 
 def check_mesh(mesh: Mesh, where: str) -> Mesh:

@@ -258,6 +258,22 @@ def test_pipes_among_the_images_are_refused(good: Path, tmp_path: Path) -> None:
             read("cam0", 1)
 
 
+@pytest.mark.parametrize("sampling", [0x411111, 0x221111, 0x111111])
+def test_a_progressive_jpeg_cut_between_its_scans_is_damaged(sampling: int, tmp_path: Path) -> None:
+    noise = np.random.default_rng(0).integers(0, 255, (40, 56, 3)).astype(np.uint8)
+    options = [cv2.IMWRITE_JPEG_PROGRESSIVE, 1, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, sampling]
+    data = cv2.imencode(".jpg", cv2.GaussianBlur(noise, (0, 0), 2), options)[1].tobytes()
+    path = tmp_path / "a.jpg"
+    path.write_bytes(data)
+    assert read_image(path).shape == (40, 56, 3)
+    scans = [place for place in range(len(data)) if data[place : place + 2] == b"\xff\xda"]
+    assert len(scans) > 5
+    for place in scans[1:]:
+        path.write_bytes(data[:place] + b"\xff\xd9")
+        with pytest.raises(BadData, match="image is damaged"):
+            read_image(path)
+
+
 @pytest.mark.parametrize(
     "text",
     [

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from gw_cli.completion import subjects, trainings
 from gw_cli.config_options import config_options
 from gw_cli.console import Console, command
-from gw_cli.inputs import check_exists, check_stages
+from gw_cli.inputs import check_stages
 from gw_cli.options import DryRun, Json, without_shard
-from stages.evaluate.config import PRESETS, EvaluateConfig
-from stages.shared.errors import UsageProblem
+from stages.evaluate.config import PRESETS, EvaluateConfig, EvaluateInputs, check_inputs
 
 
 def register(app: typer.Typer) -> None:
@@ -68,92 +67,34 @@ def register(app: typer.Typer) -> None:
         dry_run: DryRun = False,
         as_json: Json = False,
     ) -> None:
-        """Score a trained subject on poses and views it has not seen, beside a baseline that learned nothing.
+        """Score a trained subject on poses and views it has not seen, and a baseline without learning.
 
         The baseline is the template with projected colours, moved by the bones. Figures over the foreground
-        come first; psnr and ssim over the whole picture are the ones that papers print. flip is a perceptual
-        difference that needs no weights (0 is equal). With --frames and --truth, rendered frames are scored
-        against a capture; with --images and --truth, any folders of pictures.
+        come first. psnr and ssim over the whole picture are the ones that papers print. ms_ssim compares
+        the pictures at five sizes. flip is a perceptual difference that needs no weights (0 is equal). With
+        --frames and --truth, rendered frames are scored against a capture. With --images and --truth, any
+        two folders of pictures are compared.
 
-        A run that was killed goes on where it was. On many machines: the same command with --shard 1/4 to
-        --shard 4/4, and then once without --shard, which puts the parts together.
+        A run that was stopped continues where it was. On several machines: run the same command with
+        --shard 1/4 to --shard 4/4, and then once without --shard, which merges the parts.
 
         With --true-meshes (simulated captures have them), vertex_error says how far each garment is from the
-        true one, in metres, beside its texels moved by the bones alone: between the surfaces, and material:
-        from point to point of the cloth, which is what notices sliding. Give the training take's file too.
+        true one, in metres, and how far its texels are when the bones alone move them. It is measured
+        between the surfaces, and between points of the cloth (material), which also shows sliding. Give
+        the training take's file too.
         """
         console = Console(as_json)
-        given = sum(source is not None for source in (subject, frames, images))
-        if true_meshes and subject is None:
-            raise UsageProblem(
-                "True meshes are compared with a trained subject.",
-                "option --true-meshes",
-                "Give the subject: gw evaluate SUBJECT --true-meshes FILE.",
-            )
-        if given != 1 or (truth is None) != (subject is not None) or (masks is not None and images is None):
-            raise UsageProblem(
-                "It is not clear what to evaluate.",
-                "SUBJECT, --frames, --images, --truth, --masks",
-                "Give a subject, or --frames DIR --truth CAPTURE, or --images DIR --truth DIR [--masks DIR].",
-            )
-        for source in (frames, images, truth, masks):
-            check_exists(source, "folder")
-        if images is not None and truth is not None:
-            _images_against_truth(console, images, truth, masks, output, config, dry_run, perceptual_weights)
-            return
-        if frames is not None and truth is not None:
-            _frames_against_truth(console, frames, truth, output, config, dry_run, perceptual_weights)
-            return
-        assert subject is not None
-        check_stages(subject, "train")
+        inputs = EvaluateInputs(subject, frames, images, truth, masks, tuple(true_meshes or ()))
+        check_inputs(inputs)
+        if subject is not None:
+            check_stages(subject, "train")
         from stages.evaluate import stage
 
         if dry_run:
-            console.plan(stage.plan(subject, output, config, true_meshes or (), perceptual_weights))
+            console.plan(stage.plan(inputs, output, config, perceptual_weights))
             return
-        result = stage.run(subject, output, config, console, perceptual_weights, true_meshes or ())
-        _show(console, result, f"gw export-garment {subject} --layer lower -o lower.gwg")
-
-
-def _show(console: Console, result: Any, following: str | None = None) -> None:
-    """The result, and the command to type next: after a part the one that puts the parts together."""
-    if not result.complete:
-        following = f"{without_shard(sys.argv)}   (when all parts are done)"
-    console.result({"path": result.path, **result.summary}, next_command=following)
-
-
-def _frames_against_truth(
-    console: Console,
-    frames: Path,
-    truth: Path,
-    output: Path | None,
-    config: Any,
-    dry_run: bool,
-    weights: Path | None,
-) -> None:
-    from stages.evaluate import truth as truth_stage
-
-    folder = output or frames.parent / (frames.name + "_evaluation")
-    if dry_run:
-        console.plan(truth_stage.plan(frames, truth, folder, config, weights))
-        return
-    _show(console, truth_stage.run(frames, truth, folder, config, console, weights))
-
-
-def _images_against_truth(
-    console: Console,
-    images: Path,
-    truth: Path,
-    masks: Path | None,
-    output: Path | None,
-    config: Any,
-    dry_run: bool,
-    weights: Path | None,
-) -> None:
-    from stages.evaluate import images as images_stage
-
-    folder = output or images.parent / (images.name + "_evaluation")
-    if dry_run:
-        console.plan(images_stage.plan(images, truth, folder, masks, config, weights))
-        return
-    _show(console, images_stage.run(images, truth, folder, masks, config, console, weights))
+        result = stage.run(inputs, output, config, console, perceptual_weights)
+        following = f"gw export-garment {subject} --layer lower -o lower.gwg" if subject else None
+        if not result.complete:
+            following = f"{without_shard(sys.argv)}   (when all parts are done)"
+        console.result({"path": result.path, **result.summary}, next_command=following)

@@ -1,9 +1,11 @@
-"""Settings of `gw evaluate`; light."""
+"""Settings and inputs of `gw evaluate`. Imports nothing heavy."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
+from stages.shared.errors import MissingInput, UsageProblem
 from stages.shared.option import option
 
 SPLITS = ("novel-pose", "novel-view", "novel-both")
@@ -64,6 +66,57 @@ class EvaluateConfig:
         affects_result=False,
         panel="What is scored",
     )
+
+
+@dataclass(frozen=True)
+class EvaluateInputs:
+    """What is evaluated: a trained subject, rendered frames, or plain pictures.
+
+    Attributes:
+        subject: workspace of a trained subject.
+        frames: output of `gw render --cameras CAPTURE`. truth is then the capture that shows the same.
+        images: folder of pictures. truth is then a folder with pictures of the same names.
+        masks: folder of foreground masks for `images`; None for the alpha of the truth, if it has one.
+        true_meshes: true garments of a subject, as `true_meshes_of` takes them.
+    """
+
+    subject: Path | None = None
+    frames: Path | None = None
+    images: Path | None = None
+    truth: Path | None = None
+    masks: Path | None = None
+    true_meshes: tuple[str, ...] = ()
+
+
+def default_output(inputs: EvaluateInputs) -> Path:
+    """The folder of an evaluation for which none is named."""
+    if inputs.subject is not None:
+        return inputs.subject / "evaluation"
+    pictures = inputs.frames or inputs.images
+    assert pictures is not None
+    return pictures.parent / f"{pictures.name}_evaluation"
+
+
+def check_inputs(inputs: EvaluateInputs) -> None:
+    """Raise UsageProblem unless exactly one kind of input is given, and MissingInput for absent folders."""
+    subject, truth = inputs.subject, inputs.truth
+    if inputs.true_meshes and subject is None:
+        raise UsageProblem(
+            "True meshes are compared with a trained subject.",
+            "option --true-meshes",
+            "Give the subject: gw evaluate SUBJECT --true-meshes FILE.",
+        )
+    kinds = sum(path is not None for path in (subject, inputs.frames, inputs.images))
+    masks_alone = inputs.masks is not None and inputs.images is None
+    if kinds != 1 or (truth is None) != (subject is not None) or masks_alone:
+        raise UsageProblem(
+            "It is not clear what to evaluate.",
+            "SUBJECT, --frames, --images, --truth, --masks",
+            "Give a subject, or --frames DIR --truth CAPTURE, or --images DIR --truth DIR [--masks DIR].",
+        )
+    for folder in (inputs.frames, inputs.images, truth, inputs.masks):
+        if folder is not None and not folder.is_dir():
+            raise MissingInput("There is no such folder.", str(folder), "Check the path.")
 
 
 PRESETS: dict[str, EvaluateConfig] = {

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from stages.evaluate.config import EvaluateConfig
 from stages.evaluate.figure import Curve, Panel, figure
 from stages.evaluate.methods import TrainedMethod
-from stages.evaluate.score import score_views
+from stages.evaluate.score_table import score_views
 from stages.evaluate.views import FrameViews, views_by_split
 from stages.pipeline import BAKE_MAPS, REGISTER_TEMPLATE
 from stages.shared.artifacts import Artifact, Workspace

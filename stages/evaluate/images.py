@@ -1,17 +1,17 @@
-"""Score plain folders of pictures: `gw evaluate --images DIR --truth DIR [--masks DIR]`.
+"""Source of an evaluation: plain folders of pictures.
+
+`gw evaluate --images DIR --truth DIR [--masks DIR]`
 
 Reads:
     pictures (PNG, JPEG) of both folders, at any depth, paired by path without suffix: sRGB, or RGBA with
     straight alpha. Masks (H,W) of the same names, if given; else the alpha of the truth.
-Writes, into the output folder:
-    evaluation.json: {"images": {score: mean}}; views.json; images_<n>.png: truth, prediction, error.
 
 Without any mask there is no foreground: its scores are null, and the whole picture is scored.
 """
 
 from __future__ import annotations
 
-import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,105 +20,76 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.evaluate.config import EvaluateConfig
-from stages.evaluate.result import MARK, RESULT_NAME, EvaluateResult, write_evaluation
 from stages.evaluate.score_table import ScoredView, ScoreTable, pair_items
 from stages.evaluate.sharding import (
-    collect_rows,
-    evaluation_key,
-    score_items,
-    shard_summary,
+    RESULT_NAME,
+    Row,
+    WorkItem,
 )
+from stages.evaluate.source import Source
 from stages.shared.capture.images import decode, read_bytes, read_mask
 from stages.shared.errors import BadData, MissingInput
 from stages.shared.losses.perceptual import Perceptual
 from stages.shared.metrics.scores import FOREGROUND_NAMES, ViewPair
-from stages.shared.pictures.folder import check_output
-from stages.shared.pictures.parts import finish, parse_share, part_folder
+from stages.shared.pictures.parts import Share
 from stages.shared.plan import Plan
-from stages.shared.report import SILENT, Report
+from stages.shared.report import Report
 
 _SUFFIXES = (".png", ".jpg", ".jpeg")
 _SPLIT = "images"
 
 
-def run(
-    images: Path,
-    truth: Path,
-    output: Path,
-    masks: Path | None = None,
-    config: EvaluateConfig = EvaluateConfig(),
-    report: Report = SILENT,
-    perceptual_weights: Path | None = None,
-) -> EvaluateResult:
-    """Score every picture of `images` that `truth` also has.
+@dataclass(frozen=True, eq=False)
+class ImagesSource(Source):
+    """Name, picture and truth of every pair, and the masks by name, if there are any."""
 
-    Raises:
-        MissingInput: no pair, or a mask that is not there. BadData: another size, damaged files.
-    """
-    started, share = time.monotonic(), parse_share(config.shard)
-    check_output(output, RESULT_NAME, MARK)
-    pairs, covers = _opened(images, truth, masks)
-    perceptual = Perceptual.load(perceptual_weights) if perceptual_weights else None
-    items = pair_items(
-        _SPLIT, len(pairs), lambda index: _scored(pairs[index], covers, index), perceptual, config.pictures
-    )
-    files = [path for _, *both in pairs for path in both] + list((covers or {}).values())
-    names = {"pictures": [name for name, *_ in pairs], "masks": list(covers or ())}
-    report.step("scoring")
-    with part_folder(output, evaluation_key(config, names, files, perceptual_weights), share) as folder:
-        already_scored = score_items(folder, items, share, report)
-        if not share.whole:
-            return EvaluateResult(output, shard_summary(items, config.shard, already_scored), False)
-        rows = collect_rows(folder, items)
-        summary: dict[str, Any] = {_SPLIT: ScoreTable(rows=rows[_SPLIT]).means()["images"]}
-        summary["unmatched"] = len(set(pictures_of(images)) ^ set(pictures_of(truth)))
-        summary["seconds"] = round(time.monotonic() - started, 1)
-        write_evaluation(folder, config, summary, rows, perceptual_weights)
-        finish(folder, output, [])
-    return EvaluateResult(output, summary)
+    images: Path
+    truth: Path
+    mask_folder: Path | None
+    config: EvaluateConfig
+    pairs: list[tuple[str, Path, Path]]
+    masks: dict[str, Path] | None
 
+    @classmethod
+    def open(cls, images: Path, truth: Path, masks: Path | None, config: EvaluateConfig) -> ImagesSource:
+        """Two folders of pictures.
 
-def plan(
-    images: Path,
-    truth: Path,
-    output: Path,
-    masks: Path | None = None,
-    config: EvaluateConfig = EvaluateConfig(),
-    perceptual_weights: Path | None = None,
-) -> Plan:
-    """What `run` would read, write and cost."""
-    share = parse_share(config.shard)
-    check_output(output, RESULT_NAME, MARK)
-    pairs, _ = _opened(images, truth, masks)
-    if perceptual_weights:
-        Perceptual.load(perceptual_weights)
-    given = [str(path) for path in (images, truth, masks) if path is not None]
-    return Plan(given, [str(output / RESULT_NAME)], {"pictures": len(share.of(pairs))})
-
-
-def _opened(
-    images: Path, truth: Path, masks: Path | None
-) -> tuple[list[tuple[str, Path, Path]], dict[str, Path] | None]:
-    """The pairs, and the masks by name."""
-    pairs = paired(images, truth)
-    if masks is None:
-        return pairs, None
-    covers = pictures_of(masks)
-    for name, _, true in pairs:
-        if name not in covers:
+        Raises:
+            MissingInput: no pair, or a mask that is not there.
+        """
+        pairs = paired(images, truth)
+        mask_files = pictures_of(masks) if masks is not None else None
+        lacking = [] if mask_files is None else [pair for pair in pairs if pair[0] not in mask_files]
+        for name, _, true in lacking:
             raise MissingInput(f"There is no mask for {name}.", str(true), "Give a mask for every picture.")
-    return pairs, covers
+        return cls(images, truth, masks, config, pairs, mask_files)
 
+    def identity(self) -> tuple[dict[str, Any], list[Path]]:
+        masks = self.masks or {}
+        files = [path for _, *both in self.pairs for path in both] + list(masks.values())
+        return {"pictures": [name for name, *_ in self.pairs], "masks": list(masks)}, files
 
-def _scored(pair: tuple[str, Path, Path], covers: dict[str, Path] | None, index: int) -> ScoredView:
-    view, has_mask = _view(*pair, covers)
-    return ScoredView("images", "", pair[0], index, False, view, () if has_mask else FOREGROUND_NAMES)
+    def items(self, perceptual: Perceptual | None) -> list[WorkItem]:
+        def read(index: int) -> ScoredView:
+            view, has_mask = _view(*self.pairs[index], self.masks)
+            unknown = () if has_mask else FOREGROUND_NAMES
+            return ScoredView(_SPLIT, "", self.pairs[index][0], index, False, view, unknown)
+
+        return pair_items(_SPLIT, len(self.pairs), read, perceptual, self.config.pictures)
+
+    def summary(self, rows: dict[str, list[Row]], folder: Path, report: Report) -> dict[str, Any]:
+        unmatched = len(set(pictures_of(self.images)) ^ set(pictures_of(self.truth)))
+        return {_SPLIT: ScoreTable(rows=rows[_SPLIT]).means()[_SPLIT], "unmatched": unmatched}
+
+    def plan(self, output: Path, share: Share) -> Plan:
+        inputs = [str(path) for path in (self.images, self.truth, self.mask_folder) if path is not None]
+        return Plan(inputs, [str(output / RESULT_NAME)], {"pictures": len(share.of(self.pairs))})
 
 
 def pictures_of(folder: Path) -> dict[str, Path]:
     """Pictures of a folder at any depth, by path without suffix, sorted."""
-    found = sorted(path for path in folder.rglob("*") if path.suffix.lower() in _SUFFIXES)
-    return {path.relative_to(folder).with_suffix("").as_posix(): path for path in found}
+    paths = sorted(path for path in folder.rglob("*") if path.suffix.lower() in _SUFFIXES)
+    return {path.relative_to(folder).with_suffix("").as_posix(): path for path in paths}
 
 
 def paired(images: Path, truth: Path) -> list[tuple[str, Path, Path]]:
@@ -137,13 +108,13 @@ def paired(images: Path, truth: Path) -> list[tuple[str, Path, Path]]:
     return [(name, predicted[name], true[name]) for name in names]
 
 
-def _view(name: str, predicted: Path, true: Path, covers: dict[str, Path] | None) -> tuple[ViewPair, bool]:
+def _view(name: str, predicted: Path, true: Path, masks: dict[str, Path] | None) -> tuple[ViewPair, bool]:
     """One pair, and whether there is a mask."""
     picture, alpha = _read(predicted)
     truth, mask = _read(true)
-    if covers is not None:
-        mask = read_mask(covers[name])
-    for path, other in ((predicted, picture), (covers[name] if covers else true, mask)):
+    if masks is not None:
+        mask = read_mask(masks[name])
+    for path, other in ((predicted, picture), (masks[name] if masks else true, mask)):
         if other is not None and other.shape[:2] != truth.shape[:2]:
             raise BadData(
                 f"It has {other.shape[1]} x {other.shape[0]} pixels, the truth {truth.shape[1]} x "
@@ -152,9 +123,9 @@ def _view(name: str, predicted: Path, true: Path, covers: dict[str, Path] | None
                 "Give pictures of one size.",
             )
     whole = np.full(truth.shape[:2], 255, np.uint8)
-    covered = whole if alpha is None else alpha
+    alpha = whole if alpha is None else alpha
     cover = whole if mask is None else mask
-    return ViewPair(picture, (covered / 255).astype(np.float32), truth, cover), mask is not None
+    return ViewPair(picture, (alpha / 255).astype(np.float32), truth, cover), mask is not None
 
 
 def _read(path: Path) -> tuple[NDArray[np.uint8], NDArray[np.uint8] | None]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,7 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.evaluate.methods import Method
 from stages.evaluate.sharding import Row, WorkItem, replace_picture
+from stages.evaluate.views import FrameViews
 from stages.shared.artifacts.pictures import encode_png
 from stages.shared.capture.labels import label_picture
 from stages.shared.capture.take import MASK_THRESHOLD, box_around
@@ -19,6 +21,7 @@ from stages.shared.layers import BODY_LABELS, SKIN
 from stages.shared.losses.perceptual import Perceptual
 from stages.shared.metrics.scores import Scores, ViewPair, mean_scores, view_scores
 from stages.shared.pictures.sheet import chosen, contact_sheet, shrunk
+from stages.shared.report import Report
 
 _LARGEST_SIDE, _MARGIN = 384, 12  # px: of a picture as shown, and around the subject
 
@@ -128,3 +131,53 @@ def pair_items(
         return table.rows
 
     return [WorkItem(split, functools.partial(score, index)) for index in range(count)]
+
+
+def score_frame(
+    frame: FrameViews, methods: Mapping[str, Method], perceptual: Perceptual | None = None
+) -> Iterator[tuple[dict[str, ViewPair], list[Row]]]:
+    """Render a frame by every method and score it: pictures and rows of one view after the other."""
+    for method in methods.values():
+        method.pose(frame)
+    for camera in frame.cameras:
+        truth = frame.take.image(camera, frame.frame), frame.take.mask(camera, frame.frame)
+        labels = frame.take.labels(camera, frame.frame)
+        pairs, table = {}, ScoreTable(perceptual)
+        for kind, method in methods.items():
+            picture, alpha, ids = method.render(frame.take.camera(camera))
+            pairs[kind] = ViewPair(picture, alpha, *truth, ids, labels)
+            table.add(kind, frame.take.name, camera, frame.frame, frame.first, pairs[kind])
+        yield pairs, table.rows
+
+
+def score_views(views: Sequence[FrameViews], methods: Mapping[str, Method], report: Report) -> ScoreTable:
+    """The scores of every view by every method."""
+    table = ScoreTable()
+    for index, frame in enumerate(views):
+        for _, rows in score_frame(frame, methods):
+            table.rows += rows
+        report.progress(index + 1, len(views))
+    return table
+
+
+def view_items(
+    split: str,
+    views: Sequence[FrameViews],
+    methods: Mapping[str, Method],
+    perceptual: Perceptual | None,
+    pictures: int,
+) -> list[WorkItem]:
+    """The frames of a split as items of work; `pictures` of them leave `<split>_<n>.png`."""
+    shown = chosen(len(views), pictures)
+
+    def score(index: int, folder: Path) -> list[Row]:
+        rows: list[Row] = []
+        for order, (pairs, scored) in enumerate(score_frame(views[index], methods, perceptual)):
+            rows += scored
+            if index in shown and order == index % len(views[index].cameras):
+                view = next(iter(pairs.values()))
+                picture = encode_png(comparison(view.truth, view.truth_labels, pairs))
+                replace_picture(folder / f"{split}_{shown.index(index)}.png", picture)
+        return rows
+
+    return [WorkItem(split, functools.partial(score, index)) for index in range(len(views))]

@@ -23,7 +23,7 @@ from stages.evaluate.curves import (
     curve_figure,
     outfit_of,
 )
-from stages.evaluate.stage import check_config
+from stages.evaluate.subject import check_config
 from stages.pipeline import BAKE_MAPS
 from stages.shared.artifacts import Workspace
 from stages.shared.artifacts.files import make_folders, write_whole

@@ -17,7 +17,7 @@ from stages.shared.metrics.flip import flip
 from stages.shared.metrics.psnr import Picture, psnr
 from stages.shared.metrics.segmentation import iou, segmentation_scores
 from stages.shared.metrics.sharpness import sharpness
-from stages.shared.metrics.ssim import ssim, ssim_in_box
+from stages.shared.metrics.ssim import ms_ssim, ssim, ssim_in_box
 
 Scores = dict[str, float | None]
 Labels = NDArray[np.uint8]
@@ -29,6 +29,7 @@ NAMES = (
     "ssim_foreground",
     "psnr",
     "ssim",
+    "ms_ssim",
     "lpips",
     "flip",
     "iou",
@@ -65,6 +66,7 @@ def view_scores(view: ViewPair, perceptual: Perceptual | None = None) -> Scores:
     - `psnr_foreground`: over pixels with mask > 127. `ssim_foreground`: Gaussian window, their bounding box.
     - `psnr`, `ssim`: as published avatars are scored: white outside the mask in both, whole picture, uniform
       window.
+    - `ms_ssim`: SSIM on five scales, white outside the mask, whole picture; None below 176 px.
     - `iou`: alpha > 0.5 against mask > 127. `miou`, `recall`, `f1`: garment labels.
     - `sharpness`: gradient energy over the truth's. `psnr_upper` …: inside the true label regions.
     - `lpips`: with a metric only; the mask's box and 50 px, on a white square of 512 px.
@@ -81,6 +83,7 @@ def view_scores(view: ViewPair, perceptual: Perceptual | None = None) -> Scores:
         "ssim_foreground": ssim_in_box(view.prediction, view.truth, inside),
         "psnr": psnr(prediction_on_white, truth_on_white),
         "ssim": ssim(prediction_on_white, truth_on_white, window="uniform"),
+        "ms_ssim": ms_ssim(prediction_on_white, truth_on_white),
         "iou": iou(view.alpha > 0.5, inside),
         "flip": flip(prediction_on_white, truth_on_white, inside),
         "sharpness": sharpness(view.prediction, view.truth, inside),

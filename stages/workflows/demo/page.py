@@ -37,6 +37,7 @@ figure { margin: 0 }
 _SCORES = {
     "psnr_foreground": "PSNR of the person, dB",
     "ssim_foreground": "SSIM of the person",
+    "ms_ssim": "MS-SSIM of the picture",
     "flip": "FLIP (lower is better)",
     "iou": "silhouette IoU",
     "miou": "layer mIoU",

@@ -51,7 +51,8 @@ ABLATION = [
     _labels((), 0.893, 0.936, 0.947),
 ]
 
-_PICTURES = ("psnr", "ssim", "lpips", "psnr_foreground", "ssim_foreground", "flip", "iou", "sharpness")
+_FOREGROUND = ("psnr_foreground", "ssim_foreground")
+_PICTURES = ("psnr", "ssim", "lpips", "ms_ssim", *_FOREGROUND, "flip", "iou", "sharpness")
 _LABELS = ("miou", "recall", "f1")
 _TITLES = {"novel_pose": "Novel pose", "novel_view": "Novel view", "ablation": "Ablation: label pictures"}
 _PLACES = {"psnr": 2, "psnr_foreground": 2, "sharpness": 2}
@@ -101,7 +102,7 @@ def tables(rows: list[OwnRow]) -> dict[str, list[dict[str, Any]]]:
         "ablation": [
             *map(_published, ABLATION),
             *(
-                _own(row, ("novel_pose", "novel_view"), (*_LABELS, "psnr_foreground", "ssim_foreground"))
+                _own(row, ("novel_pose", "novel_view"), (*_LABELS, *_FOREGROUND, "ms_ssim", "flip"))
                 for row in sorted(own, key=_ablation_order)
             ),
         ],
@@ -116,9 +117,9 @@ def markdown(content: dict[str, list[dict[str, Any]]]) -> str:
     """The tables as text; "–" where a score is not known."""
     parts = [
         "Published rows (Gaussian Wardrobe) are of 4D-DRESS and ActorsHQ, trained for days on a GPU. The "
-        "rows below them are of other data and say how long they were trained. psnr and ssim cover the "
-        "whole picture, white outside the mask; psnr_foreground, ssim_foreground and flip cover the subject "
-        "alone.\n"
+        "rows below them are of other data and say how long they were trained. psnr, ssim and ms_ssim cover "
+        "the whole picture, white outside the mask; psnr_foreground, ssim_foreground and flip cover the "
+        "subject alone.\n"
     ]
     for name, rows in content.items():
         scores = [score for score in (*_PICTURES, *_LABELS) if any(score in row["scores"] for row in rows)]

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from stages.evaluate import stage
+from stages.evaluate.config import EvaluateInputs
 from stages.pipeline import BAKE_MAPS, TRAIN
 from stages.shared.artifacts import Artifact, Workspace
 from stages.shared.artifacts.canonical import plain
@@ -80,7 +81,7 @@ def own_rows(subject: Path, folder: Path, config: Any, report: Report, weights: 
         place = folder / artifact.key[:12]
         summary = _evaluated(place, own, weights)
         if summary is None:
-            summary = stage.run(subject, place, own, report, weights).summary
+            summary = stage.run(EvaluateInputs(subject), place, own, report, weights).summary
         seconds = artifact.run.get("training_seconds")
         scores: dict[str, dict[str, float | None]] = {}
         for name in ("novel_pose", "novel_view"):

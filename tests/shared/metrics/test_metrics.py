@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import math
 
+import cv2
 import numpy as np
 import pytest
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
+from skimage.transform import downscale_local_mean
 
 from stages.shared.errors import BadData
 from stages.shared.metrics.psnr import psnr
 from stages.shared.metrics.scores import NAMES, ViewPair, mean_scores, view_scores
 from stages.shared.metrics.segmentation import iou, segmentation_scores
 from stages.shared.metrics.sharpness import sharpness
-from stages.shared.metrics.ssim import ssim, ssim_in_box
+from stages.shared.metrics.ssim import ms_ssim, ssim, ssim_in_box
 
 
 def _pictures(seed: int, height: int = 61, width: int = 47) -> tuple[np.ndarray, np.ndarray]:
@@ -68,6 +70,31 @@ def test_uniform_ssim_is_that_of_scikit_image(seed: int) -> None:
         truth / 255.0, prediction / 255.0, channel_axis=2, data_range=1, win_size=11
     )
     assert ssim(prediction, truth, window="uniform") == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize("shape", [(176, 176), (203, 181)])
+def test_ms_ssim_is_made_of_the_ssim_of_scikit_image(shape: tuple[int, int]) -> None:
+    """With an absurd K1 the luminance is 1, and scikit-image returns contrast times structure alone."""
+    prediction, truth = (cv2.GaussianBlur(picture, (0, 0), 2.0) for picture in _pictures(5, *shape))
+    options = {"data_range": 255, "gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
+    expected = []
+    for channel in range(3):
+        x, y, product = prediction[..., channel].astype(float), truth[..., channel].astype(float), 1.0
+        for scale, weight in enumerate((0.0448, 0.2856, 0.3001, 0.2363, 0.1333)):
+            if scale:
+                x, y = (
+                    downscale_local_mean(a[: a.shape[0] // 2 * 2, : a.shape[1] // 2 * 2], 2) for a in (x, y)
+                )
+            product *= structural_similarity(x, y, K1=0.01 if scale == 4 else 1e9, **options) ** weight
+        expected.append(product)
+    assert ms_ssim(prediction, truth) == pytest.approx(np.mean(expected), abs=1e-9)
+    assert 0 < np.mean(expected) < 1 and ms_ssim(truth, truth) == 1.0
+
+
+def test_ms_ssim_of_opposite_and_of_small_pictures() -> None:
+    _, truth = _pictures(6, 176, 176)
+    assert ms_ssim(255 - truth, truth) == 0.0
+    assert ms_ssim(truth[:175], truth[:175]) is None
 
 
 def test_ssim_in_box_is_that_of_the_cut_out() -> None:

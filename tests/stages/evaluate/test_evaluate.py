@@ -13,9 +13,10 @@ import pytest
 from typer.testing import CliRunner
 
 from gw_cli.app import app
-from stages.evaluate import stage, truth
-from stages.evaluate.baseline import Baseline
-from stages.evaluate.config import EvaluateConfig
+from stages.evaluate import stage
+from stages.evaluate.config import EvaluateConfig, EvaluateInputs
+from stages.evaluate.methods import Baseline
+from stages.evaluate.subject import check_config
 from stages.pipeline import BAKE_MAPS, REGISTER_TEMPLATE, SEGMENT_LAYERS, TRAIN
 from stages.render import stage as render
 from stages.shared.artifacts import Workspace
@@ -29,7 +30,7 @@ CONFIG = EvaluateConfig(frame_step=2, pictures=1)
 
 
 def test_both_splits_and_both_methods(dressed_subject: Path, tmp_path: Path) -> None:
-    result = stage.run(dressed_subject, tmp_path / "out", CONFIG)
+    result = stage.run(EvaluateInputs(dressed_subject), tmp_path / "out", CONFIG)
     pose, view = result.summary["novel_pose"], result.summary["novel_view"]
     assert pose["trained"]["views"] == 10 and pose["trained_without_first"]["views"] == 8
     assert view["trained"]["views"] == 3 and view["baseline"]["views"] == 3
@@ -52,13 +53,13 @@ def test_both_splits_and_both_methods(dressed_subject: Path, tmp_path: Path) -> 
 def test_baseline_alone_needs_no_training(tmp_path: Path) -> None:
     subject = make_subject(tmp_path, trained=False)
     config = EvaluateConfig(splits=("novel-view",), methods=("baseline",), frame_step=4, pictures=0)
-    result = stage.run(subject, None, config)
+    result = stage.run(EvaluateInputs(subject), None, config)
     assert result.path == subject / "evaluation" and set(result.summary["novel_view"]) == {
         "baseline",
         "baseline_without_first",
     }
     with pytest.raises(MissingInput, match="gw train"):
-        stage.run(subject, tmp_path / "x", CONFIG)
+        stage.run(EvaluateInputs(subject), tmp_path / "x", CONFIG)
 
 
 def test_baseline_is_the_mesh_moved_by_the_bones(dressed_subject: Path) -> None:
@@ -83,7 +84,7 @@ def test_frames_against_a_capture(dressed_subject: Path, tmp_path: Path) -> None
     capture = dressed_subject.parent / "capture"
     config = RenderConfig(take="other", frames="0:3", penetration=False)
     render.run([dressed_subject], None, capture, tmp_path / "frames", config)
-    result = truth.run(tmp_path / "frames", capture, tmp_path / "out", CONFIG)
+    result = stage.run(EvaluateInputs(frames=tmp_path / "frames", truth=capture), tmp_path / "out", CONFIG)
     scores = result.summary["tryon_truth"]
     assert scores["views"] == 9 and scores["psnr_foreground"] == pytest.approx(EXPECTED_PSNR, abs=0.3)
     assert scores["iou"] == 1 and scores["miou"] > 0.99 and scores["psnr_lower"] is not None
@@ -133,13 +134,13 @@ def test_frames_of_another_size_are_refused(dressed_subject: Path, tmp_path: Pat
     from stages.shared.errors import BadData
 
     with pytest.raises(BadData, match="pixels, the truth"):
-        truth.run(frames, capture, tmp_path / "out", CONFIG)
+        stage.run(EvaluateInputs(frames=frames, truth=capture), tmp_path / "out", CONFIG)
     assert not (tmp_path / "out").exists()
 
 
 def test_both_at_once_and_fewer_cameras(dressed_subject: Path, tmp_path: Path) -> None:
     config = EvaluateConfig(splits=("novel-both", "novel-pose"), methods=("trained",), cameras=1, pictures=0)
-    result = stage.run(dressed_subject, tmp_path / "out", config)
+    result = stage.run(EvaluateInputs(dressed_subject), tmp_path / "out", config)
     assert result.summary["novel_both"]["trained"]["views"] == 5
     rows = json.loads((tmp_path / "out/views.json").read_text())
     assert {(row["take"], row["camera"]) for row in rows["novel_both"]} == {("other", "cam2")}
@@ -158,18 +159,18 @@ def test_another_training_can_be_scored(tmp_path: Path) -> None:
         build.write_json("model.json", first.json("model.json"))
         build.summary(method="gaussian-wardrobe", without=["sg"])
     config = EvaluateConfig(splits=("novel-view",), methods=("trained",), frame_step=4, pictures=0)
-    current = stage.run(subject, tmp_path / "a", config)
+    current = stage.run(EvaluateInputs(subject), tmp_path / "a", config)
     assert current.summary["training"]["trained"]["without"] == ["sg"]
-    other = stage.run(subject, tmp_path / "b", replace(config, training=first.key[:6]))
+    other = stage.run(EvaluateInputs(subject), tmp_path / "b", replace(config, training=first.key[:6]))
     assert other.summary["training"]["trained"]["key"] == first.key
     good, bad = (result.summary["novel_view"]["trained"]["psnr_foreground"] for result in (other, current))
     assert good == pytest.approx(EXPECTED_PSNR, abs=1e-3) and bad < good - 5
     with workspace.build(BAKE_MAPS, {"new": 1}, {}) as baked:
         baked.summary(layers=[])
     with pytest.raises(UsageProblem, match="other maps"):
-        stage.run(subject, tmp_path / "c", replace(config, training=first.key))
+        stage.run(EvaluateInputs(subject), tmp_path / "c", replace(config, training=first.key))
 
 
 def test_unknown_names_are_refused() -> None:
     with pytest.raises(UsageProblem):
-        stage.check_config(EvaluateConfig(methods=("magic",)))
+        check_config(EvaluateConfig(methods=("magic",)))

@@ -13,8 +13,8 @@ from skimage.metrics import structural_similarity
 from typer.testing import CliRunner
 
 from gw_cli.app import app
-from stages.evaluate import images
-from stages.evaluate.config import EvaluateConfig
+from stages.evaluate import stage
+from stages.evaluate.config import EvaluateConfig, EvaluateInputs
 from stages.shared.errors import BadData, MissingInput
 from stages.shared.metrics.scores import NAMES
 
@@ -44,7 +44,11 @@ def folders(tmp_path: Path) -> tuple[Path, Path, Path]:
 
 def test_with_masks_only_the_foreground_counts(folders: tuple[Path, Path, Path], tmp_path: Path) -> None:
     pictures, truth, masks = folders
-    result = images.run(pictures, truth, tmp_path / "out", masks, EvaluateConfig(pictures=1))
+    result = stage.run(
+        EvaluateInputs(images=pictures, truth=truth, masks=masks),
+        tmp_path / "out",
+        EvaluateConfig(pictures=1),
+    )
     scores = result.summary["images"]
     assert scores["views"] == 3 and result.summary["unmatched"] == 1
     assert scores["psnr_foreground"] == pytest.approx(20 * math.log10(255 / SHIFT), abs=1e-6)
@@ -61,13 +65,17 @@ def test_alpha_of_the_truth_is_a_mask(folders: tuple[Path, Path, Path], tmp_path
     for name in ("a/000", "a/001", "b"):
         color = cv2.imread(str(truth / f"{name}.png"))
         _write(truth / f"{name}.png", np.dstack([color, cv2.imread(str(masks / f"{name}.png"), 0)]))
-    scores = images.run(pictures, truth, tmp_path / "out", None, EvaluateConfig(pictures=0)).summary["images"]
+    scores = stage.run(
+        EvaluateInputs(images=pictures, truth=truth), tmp_path / "out", EvaluateConfig(pictures=0)
+    ).summary["images"]
     assert scores["psnr_foreground"] == pytest.approx(20 * math.log10(255 / SHIFT), abs=1e-6)
 
 
 def test_without_a_mask_nothing_is_foreground(folders: tuple[Path, Path, Path], tmp_path: Path) -> None:
     pictures, truth, _ = folders
-    scores = images.run(pictures, truth, tmp_path / "out", None, EvaluateConfig(pictures=0)).summary["images"]
+    scores = stage.run(
+        EvaluateInputs(images=pictures, truth=truth), tmp_path / "out", EvaluateConfig(pictures=0)
+    ).summary["images"]
     assert set(scores) == {"views", *NAMES}
     assert scores["psnr_foreground"] is scores["ssim_foreground"] is scores["iou"] is None
     found = []
@@ -81,14 +89,14 @@ def test_what_cannot_be_paired_is_refused(folders: tuple[Path, Path, Path], tmp_
     pictures, truth, masks = folders
     (masks / "b.png").unlink()
     with pytest.raises(MissingInput, match="mask for b"):
-        images.run(pictures, truth, tmp_path / "out", masks)
+        stage.run(EvaluateInputs(images=pictures, truth=truth, masks=masks), tmp_path / "out")
     _write(truth / "b.png", np.zeros((SIZE, SIZE + 1, 3), np.uint8))
     with pytest.raises(BadData, match="40 x 40 pixels, the truth 41 x 40"):
-        images.run(pictures, truth, tmp_path / "out")
+        stage.run(EvaluateInputs(images=pictures, truth=truth), tmp_path / "out")
     with pytest.raises(MissingInput, match="same name"):
-        images.run(pictures / "a", truth, tmp_path / "out")
+        stage.run(EvaluateInputs(images=pictures / "a", truth=truth), tmp_path / "out")
     with pytest.raises(MissingInput, match="no such folder"):
-        images.run(pictures, tmp_path / "none", tmp_path / "out")
+        stage.run(EvaluateInputs(images=pictures, truth=tmp_path / "none"), tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 

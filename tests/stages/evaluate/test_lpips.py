@@ -10,7 +10,7 @@ import pytest
 from safetensors.torch import save_file
 
 from stages.evaluate import stage
-from stages.evaluate.config import EvaluateConfig
+from stages.evaluate.config import EvaluateConfig, EvaluateInputs
 from stages.shared.losses import perceptual
 from tests.shared.losses.perceptual_weights import random_weights
 
@@ -27,7 +27,10 @@ def test_lpips_is_scored_with_the_file(
     save_file(random_weights(NARROW), tmp_path / "weights.safetensors")
     config = EvaluateConfig(splits=("novel-view",), frame_step=2, pictures=1)
     result = stage.run(
-        dressed_subject, tmp_path / "out", config, perceptual_weights=tmp_path / "weights.safetensors"
+        EvaluateInputs(dressed_subject),
+        tmp_path / "out",
+        config,
+        perceptual_weights=tmp_path / "weights.safetensors",
     )
     written = json.loads((tmp_path / "out/evaluation.json").read_bytes())
     content = (tmp_path / "weights.safetensors").read_bytes()

@@ -14,7 +14,7 @@ from typing import Annotated
 import typer
 
 from gw_cli import streams
-from gw_cli.console import CommandTable, say_interrupted
+from gw_cli.failures import CommandTable, print_interrupted
 from gw_cli.help import CommandApp
 
 # Torch reads this when it loads. Without it, torch's idle threads spin for milliseconds after every operation
@@ -87,6 +87,6 @@ def main() -> None:
     try:
         app()
     except KeyboardInterrupt:  # while the commands were being put together
-        sys.exit(say_interrupted())
+        sys.exit(print_interrupted())
     finally:
         streams.ignore_signals()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import shlex
@@ -16,19 +17,22 @@ from stages.workflows.command import Outcome
 
 
 class CommandFailed(GwError):
-    """A command did not end well; its own three lines and its exit code are passed on."""
+    """A command did not end well; its own three lines and its exit code are passed on.
+
+    Arguments:
+        printed: its standard output, whose last line is {"error": …} unless it was killed.
+    """
 
     def __init__(self, command: str, exit_code: int, printed: str) -> None:
-        lines = [line.partition(":") for line in printed.strip().splitlines()[-3:]]
-        if [name.strip() for name, _, _ in lines] == ["error", "where", "fix"]:
-            what, where, fix = (text.strip() for _, _, text in lines)
-        else:  # it was killed, or a library had the last word
-            what, where, fix = (
-                f"it ended with {exit_code}",
-                printed.strip()[-500:] or command,
-                "Run it by itself.",
-            )
-        super().__init__(f"The command `{command}` failed: {what}", where, fix)
+        error: dict[str, str] = {}
+        with contextlib.suppress(ValueError, IndexError, AttributeError):
+            error = json.loads(printed.strip().splitlines()[-1]).get("error", {})
+        what = error.get("what", f"it ended with {exit_code}")
+        super().__init__(
+            f"The command `{command}` failed: {what}",
+            error.get("where", command),
+            error.get("fix", "Run it by itself."),
+        )
         self.exit_code = exit_code
 
 
@@ -40,16 +44,19 @@ def run_command(*arguments: str | Path, folder: Path | None = None, module: str 
     """
     words = [str(argument) for argument in arguments]
     started = time.monotonic()
-    with tempfile.TemporaryFile("w+") as stdout, tempfile.TemporaryFile("w+") as stderr:
+    with tempfile.TemporaryFile("w+") as stdout:
         process = subprocess.Popen(
-            [sys.executable, "-m", module, *words, "--json"], stdout=stdout, stderr=stderr, cwd=folder
+            [sys.executable, "-m", module, *words, "--json"],
+            stdout=stdout,
+            stderr=subprocess.DEVNULL,
+            cwd=folder,
         )
         # wait4 and not wait: it gives the peak memory of this one child.
         _, status, usage = os.wait4(process.pid, 0)
         process.returncode = os.waitstatus_to_exitcode(status)
         stdout.seek(0)
-        stderr.seek(0)
+        printed = stdout.read()
         if process.returncode != 0:
-            raise CommandFailed(shlex.join(["gw", *words]), max(process.returncode, 1), stderr.read())
-        result = json.loads(stdout.read().strip().splitlines()[-1]).get("result", {})
+            raise CommandFailed(shlex.join(["gw", *words]), max(process.returncode, 1), printed)
+        result = json.loads(printed.strip().splitlines()[-1]).get("result", {})
     return Outcome(time.monotonic() - started, usage.ru_maxrss * 1024, result)

@@ -24,11 +24,11 @@ def register(app: typer.Typer) -> None:
     ) -> None:
         """Remove what earlier runs left: artifacts that are neither in use nor an input of one that is.
 
-        Nothing else ever removes a finished artifact, so that going back to earlier settings costs nothing.
-        Look first with --dry-run. What was removed can be made again by the command that made it.
+        No other command removes a finished artifact, so going back to earlier settings costs nothing. Look
+        first with --dry-run. The command that made an artifact can make it again.
         """
         from stages.shared.artifacts.unused import remove_unused
-        from stages.shared.artifacts.unused import unused as find_unused
+        from stages.shared.artifacts.unused import unused as unused_artifacts
         from stages.shared.artifacts.workspace import Workspace
         from stages.shared.errors import UsageProblem
 
@@ -38,8 +38,8 @@ def register(app: typer.Typer) -> None:
             )
         console = Console(as_json)
         workspace = Workspace(subject)
-        found = find_unused(workspace) if dry_run else remove_unused(workspace)
-        for artifact in found:
+        artifacts = unused_artifacts(workspace) if dry_run else remove_unused(workspace)
+        for artifact in artifacts:
             name = artifact.path.relative_to(workspace.root)
             console.say(
                 f"{'would remove' if dry_run else 'removed'} {name}, {artifact.bytes / 2**20:.1f} MiB"
@@ -47,8 +47,8 @@ def register(app: typer.Typer) -> None:
         console.result(
             {
                 "dry_run": dry_run,
-                "artifacts": [str(artifact.path) for artifact in found] if as_json else len(found),
-                "bytes": sum(artifact.bytes for artifact in found),
+                "artifacts": [str(artifact.path) for artifact in artifacts] if as_json else len(artifacts),
+                "bytes": sum(artifact.bytes for artifact in artifacts),
             },
-            next_command=f"gw clean {subject} --unused" if dry_run and found else None,
+            next_command=("gw", "clean", subject, "--unused") if dry_run and artifacts else None,
         )

@@ -36,7 +36,7 @@ def subjects(incomplete: str) -> list[str]:
 def layers(ctx: Any, incomplete: str) -> list[str]:
     """Layers of the subject that was named, or all there can be."""
     named = [ctx.params.get("subject"), *ctx.args] if ctx is not None else []
-    there = next((_layers_of(Path(str(subject))) for subject in named if subject), [])
+    there = next((layers_of(Path(str(subject))) for subject in named if subject), [])
     return [name for name in there or LAYERS if name.startswith(incomplete)]
 
 
@@ -60,7 +60,7 @@ def artifacts(incomplete: str) -> list[str]:
     return subjects(incomplete) + bundles(incomplete)
 
 
-def _layers_of(subject: Path) -> list[str]:
+def layers_of(subject: Path) -> list[str]:
     """Layers that were baked for a subject, in the order of dressing."""
     try:
         key = json.loads((subject / "bake-maps" / "current.json").read_text())["key"]

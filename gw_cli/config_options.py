@@ -94,9 +94,9 @@ def config_options(
 
         @functools.wraps(function)
         def called(**values: Any) -> None:
-            name = values.get("preset", first)
-            if "preset" not in signature.parameters:
-                values.pop("preset", None)
+            name = first
+            if preset is not None:  # the command may have the option --preset itself
+                name = values["preset"] if "preset" in signature.parameters else values.pop("preset")
             config = preset_config(dict(presets), name)
             for option in options:
                 value = values.pop(option.name)

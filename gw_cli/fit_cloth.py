@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from gw_cli.console import Console, command
-from gw_cli.inputs import check_inputs_of
+from gw_cli.inputs import check_inputs_of, export_command
 from gw_cli.options import DryRun, Force, Json, Preset, Subject, preset_config
 
 
@@ -41,10 +41,11 @@ def register(app: typer.Typer) -> None:
         if vertices:
             config = replace(config, vertices=vertices)
         check_inputs_of("fit-cloth", subject)
+        console.loading()
         from stages.fit_cloth import stage
 
         if dry_run:
             console.plan(stage.plan(subject, config))
             return
         result = stage.run(subject, config, console, force)
-        console.result(result.summary, next_command=f"gw export-garment {subject} --layer upper -o upper.gwg")
+        console.result(result.summary, export_command(subject))

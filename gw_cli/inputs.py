@@ -9,18 +9,34 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from stages.shared.errors import MissingInput
-
-CANONICAL = "canonical"
+from stages.shared.input_files import CANONICAL
 
 
 def check_stages(subject: Path, *names: str) -> None:
-    """Raise what a stage raises when the artifacts of the stages `names` are missing or damaged."""
-    from stages.pipeline import BY_NAME
+    """Raise what a stage raises when the artifacts of the stages `names` are missing or damaged.
+
+    The error names the first stage that is missing, which may come before those of `names`.
+    """
+    from stages.pipeline import BY_NAME, OPTIONAL, PIPELINE
     from stages.shared.artifacts.workspace import Workspace
 
     workspace = Workspace(subject)
     for name in names:
-        workspace.require(BY_NAME[name])
+        try:
+            workspace.require(BY_NAME[name])
+        except MissingInput:
+            needed = _with_upstream(name)
+            for spec in PIPELINE + OPTIONAL:
+                if spec.name in needed:
+                    workspace.require(spec)
+            raise
+
+
+def _with_upstream(name: str) -> set[str]:
+    """A stage and all that it reads from, directly or not."""
+    from stages.pipeline import BY_NAME
+
+    return {name}.union(*(_with_upstream(before) for before in BY_NAME[name].reads))
 
 
 def check_inputs_of(stage: str, subject: Path) -> None:
@@ -28,6 +44,14 @@ def check_inputs_of(stage: str, subject: Path) -> None:
     from stages.pipeline import BY_NAME
 
     check_stages(subject, *BY_NAME[stage].reads)
+
+
+def export_command(subject: Path) -> tuple[str | Path, ...]:
+    """What to type to export the outermost layer of a subject."""
+    from gw_cli.completion import layers_of
+
+    layer = (layers_of(subject) or ["body"])[-1]
+    return ("gw", "export-garment", subject, "--layer", layer, "-o", f"{layer}.gwg")
 
 
 def check_bundles(paths: Iterable[Path]) -> None:
@@ -47,7 +71,7 @@ def check_sources(sources: list[Path]) -> None:
 
 
 def check_poses(paths: Iterable[Path | None]) -> None:
-    """Raise when a pose file is missing. None and `canonical` are not files."""
+    """Raise when a pose file is missing. None and `canonical` (one frame, canonical pose) are not files."""
     for path in paths:
         if path is not None and str(path) != CANONICAL and not path.exists():
             raise MissingInput("There is no pose file.", str(path), "Check the path.")

@@ -27,7 +27,7 @@ def register(app: typer.Typer) -> None:
     ) -> None:
         """Show what a bundle is: kind, slots, size, what it was made with, how good it is.
 
-        Only the header is read, however large the file; `gw verify FILE.gwg` reads and checks every byte.
+        Only the header is read, even of a large file. `gw verify FILE.gwg` reads and checks every byte.
         """
         from stages.shared.artifacts.bundle import read_bundle, read_card
         from stages.shared.outfit.describe import describe
@@ -43,4 +43,4 @@ def register(app: typer.Typer) -> None:
 
             write_whole(preview, encode_png(read_bundle(bundle).arrays["preview"]))
             shown["preview"] = str(preview)
-        console.result(shown, next_command=f"gw verify {bundle}")
+        console.result(shown, next_command=("gw", "verify", bundle))

@@ -21,7 +21,7 @@ def register(app: typer.Typer) -> None:
         ],
         output: Annotated[Path, typer.Option("-o", "--output", help="The smpl_params.npz to write.")],
         fps: Annotated[
-            float, typer.Option(min=0, help="Resample to so many frames a second; 0: keep.")
+            float, typer.Option(min=0, help="Resample to this frame rate; 0 keeps the file's own.")
         ] = 0.0,
         up: Annotated[
             str,
@@ -55,12 +55,14 @@ def register(app: typer.Typer) -> None:
     ) -> None:
         """Turn a motion of any known kind into one that every command reads: y up, metres, 55 joints.
 
-        What kind FILE is of is found from its content. All commands that take --poses read such files as they
-        are; this one is for files that say too little (another up axis, other hands) and for cutting.
+        The content of FILE decides of what kind it is. All commands with --poses read such files directly.
+        This command is for files that state too little (the up axis, the hands), and for cutting.
 
         Example: gw poses walk_poses.npz -o walk.npz --fps 30 --correct-amass
         """
         check_poses([source])
+        console = Console(as_json)
+        console.loading()
 
         from stages.shared.body import embedded_body
         from stages.shared.body.load import load_body
@@ -71,7 +73,6 @@ def register(app: typer.Typer) -> None:
         from stages.shared.poses.read import load_poses
         from stages.shared.targets import check_file_target
 
-        console = Console(as_json)
         check_file_target(output, "-o walk.npz")
         body = load_body(body_model) if body_model else embedded_body()
         one_of("--length-unit", length_unit, tuple(METRES_PER_UNIT), "unit of length")
@@ -85,6 +86,4 @@ def register(app: typer.Typer) -> None:
             console.plan(Plan([str(source)], [str(output)], facts, disk_bytes=700 * len(motion)))
             return
         motion.save(output)
-        console.result(
-            {"path": output, **facts}, next_command=f"gw tryon body.gwg skirt.gwg --poses {output} -o tryon"
-        )
+        console.result({"path": output, **facts})

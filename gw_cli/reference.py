@@ -20,7 +20,8 @@ _HEADER = """# Commands
 
 Exit codes: 0 done, 2 usage, 65 bad data, 66 missing input, 70 a bug of gw, 74 disk, 75 locked,
 130 interrupted.
-With `--json`, stdout has one JSON object per line. The last one is `{"result": {...}}`.
+With `--json`, stdout has one JSON object per line. The last one is `{"result": {...}}`, or
+`{"error": {"what", "where", "fix", "exit_code"}}`.
 """
 _SHARED = 5
 """An option that this many commands have with the same help is explained once."""

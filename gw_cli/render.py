@@ -76,9 +76,9 @@ def register(app: typer.Typer) -> None:
         "target": [0, 1, 0], "field_of_view": 35}, {"frame": 90, "position": [3, 1, 0], "target": [0, 1, 0]}]}
         or "cameras": one per frame, with matrices as in a capture's cameras.json.
 
-        A run that was killed goes on where it was: type the same command again. On many machines: the same
-        command with --shard 1/4 to --shard 4/4 into the same -o, and then once without --shard, which puts
-        the parts together (and renders what is missing).
+        The same command continues a run that was killed. On many machines, use the same command with
+        --shard 1/4 to --shard 4/4 and the same -o, and then once without --shard, which puts the parts
+        together and renders what is missing.
         """
         console = Console(as_json)
         check_sources(sources)
@@ -87,17 +87,20 @@ def register(app: typer.Typer) -> None:
         if html is not None:
             check_file_target(html, "--html a.html")
 
+        if html is not None and output is None and config.shard:
+            raise UsageProblem(
+                "A page cannot be written in parts.",
+                "options --html, --shard",
+                "Leave out --shard, or give -o too.",
+            )
+        console.loading()
         from stages.render import page, stage
 
         if html is not None and output is None:
-            if config.shard:
-                raise UsageProblem(
-                    "One page has no parts.", "options --html, --shard", "Leave out --shard, or give -o too."
-                )
             if dry_run:
                 console.plan(page.plan(sources, poses, cameras, html, config))
                 return
-            console.result(page.run(sources, poses, cameras, html, config, console), f"open {html}")
+            console.result(page.run(sources, poses, cameras, html, config, console), watch=html)
             return
         target = output or Path("render")
         if dry_run:
@@ -108,7 +111,10 @@ def register(app: typer.Typer) -> None:
         result = stage.run(sources, poses, cameras, target, config, console)
         if html is not None and result.complete:
             page.run(sources, poses, cameras, html, config, console)
-        following = f"gw evaluate --frames {result.path} --truth {cameras}" if cameras else None
+        shown = {"path": result.path, **result.summary}
         if not result.complete:
-            following = f"{without_shard(sys.argv)}   (when all parts are done)"
-        console.result({"path": result.path, **result.summary}, next_command=following)
+            console.result(shown, without_shard(sys.argv), when="when all parts are done")
+            return
+        following = ("gw", "evaluate", "--frames", result.path, "--truth", cameras) if cameras else None
+        film = result.summary.get("video")
+        console.result(shown, following, watch=html or (result.path / str(film) if film else None))

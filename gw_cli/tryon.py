@@ -29,7 +29,13 @@ def register(app: typer.Typer) -> None:
     @command
     @config_options(PRESETS, "draft", omit=("take", "distilled"), help={"fps": _FPS_HELP})
     def tryon(
-        poses: Annotated[Path, typer.Option(help="The motion: npz of SMPL-X or AMASS, or BVH.")],
+        poses: Annotated[
+            Path,
+            typer.Option(
+                help="The motion: npz of SMPL-X or AMASS, or BVH; or `canonical`: one frame in the pose of "
+                "the maps."
+            ),
+        ],
         bundles: Annotated[
             list[Path] | None,
             typer.Argument(
@@ -70,21 +76,22 @@ def register(app: typer.Typer) -> None:
         """Let a body wear garments of other people, in a new motion.
 
         Name the bundles, or choose them from a wardrobe: `--wardrobe DIR --outfit body,shirt,skirt`, or an
-        outfit file, which finds its bundles by digest. Which garment lies over which follows from the layers
-        (body < lower < upper < outer), not from the order they are named in. Garments take the wearer's
-        shape. Frames have a transparent background.
+        outfit file, which finds its bundles by digest. The layers decide which garment lies over which
+        (body < lower < upper < outer), not the order of the names. Garments take the wearer's shape. Frames
+        have a transparent background.
 
         With `--tradeoff FOLDER` no bundles are named: `--fps 25` wears the best-looking operating point that
         was measured to play at that rate, `--quality 0.3` the fastest at most 0.3 dB below the best one.
-        What that gave up is said, and is in the result.
+        The result states what that choice gives up.
 
-        A run that was killed goes on where it was. On many machines: the same command with --shard 1/4 to
-        --shard 4/4 into the same -o, and then once without --shard, which puts the parts together.
+        The same command continues a run that was killed. On many machines, use the same command with
+        --shard 1/4 to --shard 4/4 and the same -o, and then once without --shard, which puts the parts
+        together.
         """
         console = Console(as_json)
         chosen: dict[str, Any] = {}
         if tradeoff is not None or quality:
-            _only(tradeoff, bundles, wardrobe, outfit)
+            _check_tradeoff(tradeoff, bundles, wardrobe, outfit)
             bundles, chosen = _operating_point(tradeoff, config.fps, quality)  # type: ignore[arg-type]
             console.say(chosen["given_up"])
         bundles, file_betas = _bundles(bundles or [], wardrobe, outfit)
@@ -94,6 +101,7 @@ def register(app: typer.Typer) -> None:
         check_poses([poses])
         check_bundles(bundles)
 
+        console.loading()
         from stages.tryon import stage
 
         if dry_run:
@@ -102,15 +110,19 @@ def register(app: typer.Typer) -> None:
         if save_outfit is not None:
             _save(save_outfit, bundles, config.betas)
         result = stage.run(bundles, poses, output, config, console)
-        worn = " ".join(str(bundle) for bundle in bundles)
-        following = f"gw render {worn} --poses {poses} --camera orbit -o render"
+        shown = {"path": result.path, **chosen, **result.summary}
         if not result.complete:
-            following = f"{without_shard(sys.argv)}   (when all parts are done)"
-        console.result({"path": result.path, **chosen, **result.summary}, next_command=following)
+            console.result(shown, without_shard(sys.argv), when="when all parts are done")
+            return
+        film = result.summary.get("video")
+        following = ("gw", "view", *bundles, "--poses", poses, "--open")
+        console.result(shown, following, watch=result.path / str(film) if film else None)
 
 
-def _only(tradeoff: Path | None, bundles: list[Path] | None, wardrobe: Path | None, outfit: str) -> None:
-    """Raise where --tradeoff and what belongs to it contradict the rest."""
+def _check_tradeoff(
+    tradeoff: Path | None, bundles: list[Path] | None, wardrobe: Path | None, outfit: str
+) -> None:
+    """Raise where --tradeoff and --quality contradict the other options."""
     if tradeoff is None:
         raise UsageProblem(
             "There is nothing measured to choose from.",
@@ -132,12 +144,12 @@ def _operating_point(folder: Path, fps: float, quality: str) -> tuple[list[Path]
 
     points = read_points(folder)
     point = chosen_point(points, fps, _decibels(quality) if quality else None)
-    told = {
+    facts = {
         "operating_point": point.name,
         "measured_frames_per_second": point.frames_per_second,
         "given_up": given_up(points, point),
     }
-    return bundles_of(folder, point), told
+    return bundles_of(folder, point), facts
 
 
 def _decibels(text: str) -> float:
@@ -147,22 +159,24 @@ def _decibels(text: str) -> float:
     except ValueError:
         loss = -1.0
     if not 0 <= loss < math.inf:
-        raise UsageProblem(f"{text!r} is no loss of quality.", "option --quality", "Give decibels, as 0.3.")
+        raise UsageProblem(
+            f"{text!r} is not a loss of quality.", "option --quality", "Give decibels, as 0.3."
+        )
     return loss
 
 
-def _bundles(given: list[Path], wardrobe: Path | None, outfit: str) -> tuple[list[Path], str]:
+def _bundles(named: list[Path], wardrobe: Path | None, outfit: str) -> tuple[list[Path], str]:
     """The bundles that are meant, and the shape that an outfit file asks for."""
     from stages.shared.outfit.wardrobe import chosen_pieces, open_outfit
 
-    if bool(given) == bool(outfit) or (wardrobe is not None and not outfit):
+    if bool(named) == bool(outfit) or (wardrobe is not None and not outfit):
         raise UsageProblem(
             "It is not clear what is worn.",
             "BUNDLES, --wardrobe, --outfit",
             "Name the bundles, or give --wardrobe DIR --outfit a,b,c, or --outfit FILE.json.",
         )
-    if given:
-        return given, ""
+    if named:
+        return named, ""
     if outfit.endswith(".json"):
         return open_outfit(Path(outfit), wardrobe)
     if wardrobe is None:

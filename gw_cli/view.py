@@ -8,14 +8,17 @@ from typing import Annotated
 import typer
 
 from gw_cli.completion import artifacts
+from gw_cli.config_options import config_options
 from gw_cli.console import Console, command
 from gw_cli.inputs import check_poses, check_sources
-from gw_cli.options import Betas, Distilled, DryRun, FrameRate, Json, Swap
+from gw_cli.options import DryRun, Json
+from stages.view.config import ViewConfig
 
 
 def register(app: typer.Typer) -> None:
     @app.command("view")
     @command
+    @config_options({"view": ViewConfig()})
     def view(
         sources: Annotated[
             list[Path] | None,
@@ -29,36 +32,23 @@ def register(app: typer.Typer) -> None:
         poses: Annotated[
             list[Path] | None,
             typer.Option(
-                help="A motion to play (npz of SMPL-X or AMASS, or BVH); may be given several times."
+                help="A motion to play (npz of SMPL-X or AMASS, or BVH), or `canonical`; may be given "
+                "several times."
             ),
         ] = None,
-        betas: Betas = "",
-        fps: FrameRate = 0.0,
-        host: Annotated[
-            str, typer.Option(help="Address to listen on; beyond this machine a token is asked for.")
-        ] = "127.0.0.1",
-        port: Annotated[int, typer.Option(min=0, max=65535, help="0 takes a free one.")] = 8770,
         open_browser: Annotated[
             bool, typer.Option("--open/--no-open", help="Open the page in the browser.")
         ] = False,
-        distilled: Distilled = False,
-        drive: Annotated[
-            str,
-            typer.Option(
-                help="What moves garments: auto | bones | learned | simulated; by layer: "
-                "lower=bones,upper=learned."
-            ),
-        ] = "auto",
-        swap: Swap = True,
+        config: ViewConfig = ViewConfig(),
         dry_run: DryRun = False,
         as_json: Json = False,
     ) -> None:
         """Look at outfits in the browser: turn, swap, reshape, play.
 
-        Layers go on and off, garments are swapped from a folder, ten sliders change the body's shape, a
-        timeline plays the motion; the picture button saves what `gw render` would draw from there. Ends with
-        Ctrl-C. Only this machine can reach the page; with --host 0.0.0.0 others can who know the printed
-        address, which then holds a random token.
+        Layers go on and off, and garments are swapped from a folder. Ten sliders change the body's shape, and
+        a timeline plays the motion. The screenshot button saves what `gw render` would draw from there.
+        Ctrl-C ends the viewer. Only this machine can reach the page. With --host 0.0.0.0 other machines can
+        reach it too, at the printed address, which then holds a random token.
 
         Examples:
 
@@ -72,18 +62,16 @@ def register(app: typer.Typer) -> None:
         """
         import webbrowser
 
-        from stages.view.config import ViewConfig
-
         console = Console(as_json)
-        config = ViewConfig(host, port, betas, fps, swap, distilled, drive)
-        given, motions = list(sources or []), list(poses or [])
-        check_sources(given)
+        bundles, motions = list(sources or []), list(poses or [])
+        check_sources(bundles)
         check_poses(motions)
 
+        console.loading()
         from stages.view import stage
 
         if dry_run:
-            console.plan(stage.plan(given, wardrobe, motions, config))
+            console.plan(stage.plan(bundles, wardrobe, motions, config))
             return
 
         def ready(url: str) -> None:
@@ -91,4 +79,4 @@ def register(app: typer.Typer) -> None:
             if open_browser:
                 webbrowser.open(url)
 
-        console.result(stage.run(given, wardrobe, motions, config, console, ready))
+        console.result(stage.run(bundles, wardrobe, motions, config, console, ready))

@@ -8,13 +8,18 @@ from typing import Annotated
 
 import typer
 
+from gw_cli.config_options import config_options
 from gw_cli.console import Console, command
-from gw_cli.options import Json, names
+from gw_cli.options import Json
+from stages.evaluate.config import EvaluateConfig
+
+_VIEWS = EvaluateConfig(methods=("trained",), pictures=2)
 
 
 def register(bench: typer.Typer) -> None:
     @bench.command("paper")
     @command
+    @config_options({"views": _VIEWS}, omit=("methods", "training", "drive", "shard"))
     def paper(
         subjects: Annotated[
             list[Path], typer.Argument(metavar="SUBJECT…", help="Workspaces with trainings of gw train.")
@@ -22,41 +27,26 @@ def register(bench: typer.Typer) -> None:
         output: Annotated[
             Path, typer.Option("-o", "--output", help="Folder for paper.md, paper.json and every evaluation.")
         ] = Path("bench_paper"),
-        split: Annotated[
-            str, typer.Option(help="Of novel-pose, novel-view; what the capture has.")
-        ] = "novel-pose,novel-view",
-        frame_step: Annotated[int, typer.Option(min=1, help="Novel views: every so many-th frame.")] = 5,
-        test_frame_step: Annotated[int, typer.Option(min=1, help="Novel poses: every so many-th frame.")] = 1,
-        cameras: Annotated[
-            int, typer.Option(min=0, help="At most so many cameras of each frame; 0: all.")
-        ] = 0,
+        config: EvaluateConfig = _VIEWS,
         perceptual_weights: Annotated[
             Path | None,
             typer.Option(metavar="FILE", help="VGG-16 and LPIPS weights; without, lpips is null."),
         ] = None,
         as_json: Json = False,
     ) -> None:
-        """Print the paper's three tables with your own trainings beside the published values.
+        """Print the paper's three tables with the published values and your own trainings.
 
-        Every training of a subject is a row: methods of gw train --method, ablations of gw train --without;
-        gw bench curves trains them. Compare those of the same preset and --minutes: they stand together.
-        Scores leave out the first test frame, often the pose of the template. What is evaluated already is
-        not done again.
+        Every training of a subject is a row: methods of gw train --method, ablations of gw train --without.
+        gw bench curves trains them. Compare trainings of the same preset and --minutes, which are listed
+        together. Scores leave out the first test frame, which is often the pose of the template. Finished
+        evaluations are used again.
         """
-        from stages.evaluate.config import EvaluateConfig
+        console = Console(as_json)
+        console.loading()
         from stages.shared.artifacts.files import make_folders, write_whole
         from stages.workflows.paper.tables import markdown, tables
         from stages.workflows.paper.trainings import own_rows
 
-        console = Console(as_json)
-        config = EvaluateConfig(
-            splits=names(split),
-            methods=("trained",),
-            frame_step=frame_step,
-            test_frame_step=test_frame_step,
-            cameras=cameras,
-            pictures=2,
-        )
         rows = [
             row
             for subject in subjects

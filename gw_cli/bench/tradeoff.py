@@ -4,29 +4,26 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from gw_cli.completion import PRESETS
+from gw_cli.config_options import config_options
 from gw_cli.console import Console, command
 from gw_cli.inputs import check_exists
 from gw_cli.options import DryRun, Json, Preset, Seed, names
 from stages.shared.errors import UsageProblem
-
-if TYPE_CHECKING:
-    from stages.workflows.tradeoff.config import Training
+from stages.workflows.tradeoff.config import TRAINED_BLENDSHAPES, BenchTradeoffConfig, Training
 
 
 def register(bench: typer.Typer) -> None:
     @bench.command("tradeoff")
     @command
+    @config_options({"tradeoff": BenchTradeoffConfig()})
     def tradeoff(
         capture: Annotated[Path, typer.Argument(metavar="CAPTURE", help="A capture with held-out cameras.")],
         output: Annotated[Path, typer.Option("-o", "--output", help="Folder of results.")] = Path("tradeoff"),
-        minutes: Annotated[
-            float, typer.Option(min=0.1, help="Of training, over all pitches together.")
-        ] = 24.0,
         pitches: Annotated[
             str, typer.Option(help="Millimetres per texel, each trained once; default 6.5,9,13,20.")
         ] = "",
@@ -37,10 +34,9 @@ def register(bench: typer.Typer) -> None:
                 help="Train whole presets too, each at its own pitch: balanced:12,tiny:1.",
             ),
         ] = "",
-        body_model: Annotated[Path | None, typer.Option(help="As in gw register-template.")] = None,
-        size: Annotated[
-            int, typer.Option(min=16, max=4096, help="Pixels of the pictures that are timed.")
-        ] = 512,
+        body_model: Annotated[
+            Path | None, typer.Option(help="Body model of the poses (.npz); default: the capture's.")
+        ] = None,
         trained_blendshapes: Annotated[
             bool,
             typer.Option(
@@ -48,6 +44,7 @@ def register(bench: typer.Typer) -> None:
                 help="Also train blendshapes by themselves; they get half of the minutes.",
             ),
         ] = False,
+        config: BenchTradeoffConfig = BenchTradeoffConfig(),
         preset: Preset = "draft",
         seed: Seed = 0,
         dry_run: DryRun = False,
@@ -55,14 +52,12 @@ def register(bench: typer.Typer) -> None:
     ) -> None:
         """Measure the trade of speed for accuracy on one capture, and draw its front.
 
-        For every pitch the subject is trained once; it and blendshapes
-        distilled from it are then played, scored and weighed. `gw tryon --tradeoff FOLDER --fps 25` or
-        `--quality 0.3` choose among the points.
+        The subject is trained once for every pitch. The training and the blendshapes distilled from it are
+        then played and scored, and their size is measured. `gw tryon --tradeoff FOLDER` with `--fps 25` or
+        `--quality 0.3` chooses among the points.
         """
-        from stages.workflows.tradeoff.config import TRAINED_BLENDSHAPES, BenchTradeoffConfig
-
         console = Console(as_json)
-        config = BenchTradeoffConfig(minutes=minutes, preset=preset, size=size, seed=seed)
+        config = replace(config, preset=preset, seed=seed)
         if pitches:
             config = replace(config, pitches=_pitches(pitches))
         if trained_blendshapes:
@@ -72,6 +67,7 @@ def register(bench: typer.Typer) -> None:
         check_exists(capture)
         check_exists(body_model, "body model")
 
+        console.loading()
         from gw_cli.child import run_command
         from stages.workflows.tradeoff import stage
 
@@ -83,17 +79,15 @@ def register(bench: typer.Typer) -> None:
 
 
 def _trainings(text: str) -> tuple[Training, ...]:
-    from stages.workflows.tradeoff.config import Training
-
-    found = []
+    trainings = []
     for part in names(text):
         preset, _, minutes = part.partition(":")
         if preset not in PRESETS or not minutes.replace(".", "", 1).isdigit() or not float(minutes):
             raise UsageProblem(
                 f"{part!r} is no preset with minutes.", "option --also", "Give for example balanced:12."
             )
-        found.append(Training(preset, float(minutes)))
-    return tuple(found)
+        trainings.append(Training(preset, float(minutes)))
+    return tuple(trainings)
 
 
 def _pitches(text: str) -> tuple[float, ...]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from stages.shared.option import option
+
 
 @dataclass(frozen=True)
 class DistillConfig:
@@ -11,12 +13,11 @@ class DistillConfig:
 
     Attributes:
         seed: of the blended poses.
-        training_poses: at most so many poses of the training motion, evenly spread over it.
+        training_poses: largest number of poses of the training motion, evenly spread over it.
         blended_poses: poses half-way between random pairs of them, joint by joint.
-        extra_poses: at most so many poses of each given motion.
+        extra_poses: largest number of poses of each further motion.
         offset_tolerance, color_tolerance, form_tolerance: m, and the units before the activations; bases are
             added until what they leave out is smaller than this (root mean square over texels and poses).
-        most: ceilings of the numbers of bases for offsets, colours and form.
     """
 
     seed: int = 0
@@ -26,7 +27,9 @@ class DistillConfig:
     offset_tolerance: float = 0.0005
     color_tolerance: float = 0.02
     form_tolerance: float = 0.02
-    most: tuple[int, int, int] = (32, 12, 8)
+    most: tuple[int, int, int] = option(
+        (32, 12, 8), "Largest numbers of bases for offsets, colours and form, as 16,6,4.", flag="--ranks"
+    )
 
 
 PRESETS: dict[str, DistillConfig] = {

@@ -33,7 +33,7 @@ class EvaluateConfig:
 
     splits: tuple[str, ...] = option(
         SPLITS[:2],
-        "Of novel-pose, novel-view, novel-both (test poses, held-out cameras). Default: what there is.",
+        "Of novel-pose, novel-view, novel-both (test poses, held-out cameras); those that the capture has.",
         flag="--split",
         panel="What is scored",
     )

@@ -17,6 +17,8 @@ from stages.shared.errors import BadData, MissingInput, StorageFailure
 
 TEXT_BYTES = 1 << 30
 JSON_BYTES = 16 << 20
+CANONICAL = "canonical"
+"""Typed in place of a pose file: one frame in the canonical pose of the maps."""
 _LARGEST_INTEGER = 1 << 64
 _BYTE_ORDER_MARKS = (  # UTF-32 comes first: its little-endian mark begins with the one of UTF-16
     (codecs.BOM_UTF32_LE, "utf-32-le"),

@@ -4,28 +4,34 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from stages.shared.option import option
+
 
 @dataclass(frozen=True)
 class ViewConfig:
-    """How the viewer is reached, and what it shows at first.
+    """How the viewer is reached, and what it shows at first. The help of each option is in its metadata.
 
     Attributes:
-        host: address to listen on; anything but the machine itself asks for a token.
-        port: 0 takes a free one.
-        betas: up to ten shape coefficients "0.5,-1", "" for the body's own.
-        fps: resample motions to this rate; 0 keeps their own.
-        swap: beneath a garment, give the body the form of the garment's own source.
-        distilled: of a subject, show the blendshapes of `gw distill` instead of the networks.
-        drive: what moves garments, as in `gw render`.
         width, height: of the first view, pixels; they decide how far away the camera stands.
     """
 
-    host: str = "127.0.0.1"
-    port: int = 8770
-    betas: str = ""
-    fps: float = 0.0
-    swap: bool = True
-    distilled: bool = False
-    drive: str = "auto"
+    host: str = option(
+        "127.0.0.1", "Address to listen on; beyond this machine a token is asked for.", panel="Address"
+    )
+    port: int = option(8770, "0 takes a free one.", min=0, max=65535, panel="Address")
+    betas: str = option("", "Another body shape: up to ten numbers, 0.5,-1.2.")
+    fps: float = option(0.0, "Frames per second; 0 keeps the motion's own.", min=0)
+    swap: bool = option(
+        True, "Under a garment, give the body the offsets and rotations of the garment's source."
+    )
+    distilled: bool = option(
+        False,
+        "Of a subject: use the blendshapes of `gw distill`, which play in real time.",
+        flag="--distilled",
+    )
+    drive: str = option(
+        "auto",
+        "What moves garments: auto | bones | learned | simulated; by layer: lower=bones,upper=learned.",
+    )
     width: int = 480
     height: int = 640

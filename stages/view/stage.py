@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from stages.shared.input_files import CANONICAL
 from stages.shared.outfit.sources import parse_betas
 from stages.shared.plan import Plan
 from stages.shared.poses.read import load_poses
@@ -33,7 +34,7 @@ def open_viewer(
 
     Arguments:
         sources: bundles worn at first, or one subject. wardrobe: folder of bundles to swap in.
-        poses: motions to play; the canonical pose is always among them, a subject's own motion too.
+        poses: motions to play. The canonical pose is always added, and a subject's own motion.
 
     Raises:
         UsageProblem, MissingInput, BadData: what was given. StorageFailure: the port is taken.
@@ -44,7 +45,11 @@ def open_viewer(
     for reason in left_out:
         report.warn(f"left out: {reason}")
     body = catalog.outfit(catalog.worn, None).body_model
-    motions = [(path.name, load_poses(path, body, config.fps or None, report=report)) for path in poses]
+    motions = [
+        (path.name, load_poses(path, body, config.fps or None, report=report))
+        for path in poses
+        if str(path) != CANONICAL
+    ]
     if catalog.subject_poses is not None:
         motions.append((UNCHANGED_MOTIONS[1], catalog.subject_poses))
     motions.append(canonical_motion())

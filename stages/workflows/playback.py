@@ -35,30 +35,10 @@ from stages.shared.outfit.visibility_culling import find_hidden_texels
 from stages.shared.poses.read import load_poses
 from stages.shared.report import SILENT, Report
 from stages.shared.splat.gaussians import Gaussians
+from stages.workflows.config import PlaybackConfig
 
 Mask = NDArray[np.bool_] | None
 _WARM_FRAMES = 3  # compilation, first touch of memory
-
-
-@dataclass(frozen=True)
-class PlaybackConfig:
-    """What is played.
-
-    Attributes:
-        frames: frames that are timed, evenly spread over the motion and played in order.
-        size: pixels, width and height.
-        camera: static or orbit.
-        plain_frames: frames of the plain way (`Outfit.composite`), for comparison.
-        cull: leave out body Gaussians that nobody can see; found before the clock starts.
-        threads: frames at a time; 0 for as many as torch uses threads.
-    """
-
-    frames: int = 60
-    size: int = 512
-    camera: str = "static"
-    plain_frames: int = 5
-    threads: int = 0
-    cull: bool = True
 
 
 @dataclass(frozen=True)

@@ -88,6 +88,22 @@ def test_a_bug_leaves_a_report_with_the_traceback() -> None:
         assert "ZeroDivisionError: oops" in file.read()
 
 
+@pytest.mark.parametrize(
+    ("words", "code", "says"),
+    [
+        ("inspect none.gwg --json", 66, "no such bundle"),
+        ("inspect none.gwg --json --nonsense", 2, "--nonsense"),
+        ("train nowhere --preset huge --json", 2, "huge"),
+    ],
+)
+def test_a_failure_with_json_is_one_object(words: str, code: int, says: str) -> None:
+    outcome = CliRunner().invoke(gw, words.split(), prog_name="gw")
+    (line,) = outcome.stdout.splitlines()
+    error = json.loads(line)["error"]
+    assert outcome.exit_code == error["exit_code"] == code
+    assert says in error["what"] and error["where"] and error["fix"]
+
+
 def test_json_events_end_with_the_result(capsys: pytest.CaptureFixture[str]) -> None:
     console = Console(as_json=True)
     console.step("baking")

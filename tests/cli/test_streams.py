@@ -13,7 +13,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from gw_cli import console as console_module
+from gw_cli import failures
 from gw_cli.console import Console, command
 from gw_cli.streams import shown
 from stages.shared import memory
@@ -181,7 +181,7 @@ def test_the_last_handler_does_not_fail_itself(
     broken: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     if broken != "text":
-        monkeypatch.setattr(console_module.tempfile, "tempdir", str(tmp_path / "none"))
+        monkeypatch.setattr(failures.tempfile, "tempdir", str(tmp_path / "none"))
     error = ValueError("lost \udcff") if broken == "folder" else _Unprintable()
     outcome = CliRunner().invoke(_app_that_raises(error), [])
     assert outcome.exit_code == 70 and len(outcome.stderr.splitlines()) == 3

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from stages.shared.body.canonical import canonical_poses
 from stages.shared.body.model import BodyModel
 from stages.shared.body.npz import NumericNpz
 from stages.shared.body.poses import Poses
 from stages.shared.errors import BadData, UsageProblem
 from stages.shared.finite import require_finite
-from stages.shared.input_files import check_input_file, decode_text
+from stages.shared.input_files import CANONICAL, check_input_file, decode_text
 from stages.shared.poses.bvh import read_bvh
 from stages.shared.poses.convert import UPS, check_length, resample, y_up
 from stages.shared.poses.npz_layouts import read_pose_arrays
@@ -32,7 +33,8 @@ def load_poses(
     """Read a pose file: the `.npz` layouts of SMPL, SMPL-H and SMPL-X programs, or BVH.
 
     Arguments:
-        path: the file; what it is is found out from its content, not from its name.
+        path: the file, whose content decides what it is, not its name; or `canonical`: one frame in the
+            canonical pose.
         body: model that the poses are for. Needed for BVH (rest pose and leg length), for hands as
             coefficients, and for the exact place of a motion with another up axis (a mean pelvis is used
             without one).
@@ -58,6 +60,8 @@ def load_poses(
             f"No axis called {up!r} points up.", "option --up", "Choose one of: " + ", ".join(UPS) + "."
         )
     path = Path(path)
+    if str(path) == CANONICAL:
+        return canonical_poses()
     check_input_file(path, "a pose file", MAX_FILE_BYTES)
 
     def note(text: str) -> None:

@@ -7,9 +7,6 @@ from dataclasses import dataclass
 from stages.shared.option import option
 from stages.shared.splat.settings import ALPHA_MIN, TRANSMITTANCE_MIN
 
-CANONICAL = "canonical"
-"""Given in place of a pose file: the canonical pose of the maps."""
-
 
 @dataclass(frozen=True)
 class RenderConfig:

@@ -13,6 +13,7 @@ from stages.shared.artifacts.canonical import KEY_LENGTH, canonical_json, digest
 from stages.shared.body import Poses, canonical_poses
 from stages.shared.capture import Take, open_capture
 from stages.shared.errors import MissingInput, UsageProblem
+from stages.shared.input_files import CANONICAL
 from stages.shared.outfit.foot_height import fix_foot_height
 from stages.shared.outfit.outfit import Outfit, outfit_of_bundles
 from stages.shared.outfit.sources import capture_take, parse_betas, parse_frames, read_bundles
@@ -20,7 +21,7 @@ from stages.shared.outfit.trained_subject import TrainedSubject
 from stages.shared.outfit.viewpoints import viewpoint_cameras
 from stages.shared.poses.read import load_poses
 from stages.shared.render_sequence.camera_path import path_cameras
-from stages.shared.render_sequence.config import CANONICAL, RenderConfig
+from stages.shared.render_sequence.config import RenderConfig
 from stages.shared.render_sequence.outputs import SequenceFrame
 from stages.shared.report import SILENT, Report
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from stages.shared.option import option
+
 
 @dataclass(frozen=True)
 class Decoder:
@@ -42,22 +44,21 @@ class BenchTradeoffConfig:
     """Which operating points are measured.
 
     Attributes:
-        minutes: of training, over all pitches (and decoders that are trained by themselves) together.
         preset: of every stage.
         pitches: millimetres per texel; each is trained once.
         decoders: each is played and scored for every pitch.
         also: trainings of whole presets, played as they were trained.
-        size: pixels, width and height of the pictures that are timed. frames: how many are timed.
+        frames: how many are timed.
         frame_step, test_frame_step: of the views that are scored, as in `gw evaluate`.
         seed: of the trainings.
     """
 
-    minutes: float = 24.0
+    minutes: float = option(24.0, "Of training, over all pitches and trained decoders together.", min=0.1)
     preset: str = "draft"
     pitches: tuple[float, ...] = (6.5, 9.0, 13.0, 20.0)
     decoders: tuple[Decoder, ...] = DECODERS
     also: tuple[Training, ...] = ()
-    size: int = 512
+    size: int = option(512, "Pixels, width and height of the pictures that are timed.", min=16, max=4096)
     frames: int = 40
     frame_step: int = 10
     test_frame_step: int = 2

@@ -60,8 +60,8 @@ def test_the_command_says_what_to_type_when_all_parts_are_done(
     monkeypatch.setattr("sys.argv", ["gw", *words, "--shard", "1/2"])
     done = CliRunner().invoke(app, [*words, "--shard", "1/2"])
     assert done.exit_code == 0, done.stderr
-    assert f"next: gw {' '.join(words)}   (when all parts are done)" in done.stderr
+    assert f"next: gw {' '.join(words)}   # when all parts are done" in done.stderr
     assert CliRunner().invoke(app, [*words, "--shard", "2/1"]).exit_code == 2
     alone = ["render", str(wardrobe / "body.gwg"), "--html", str(tmp_path / "a.html"), "--shard", "1/2"]
     refused = CliRunner().invoke(app, alone)
-    assert refused.exit_code == 2 and "no parts" in refused.stderr
+    assert refused.exit_code == 2 and "in parts" in refused.stderr

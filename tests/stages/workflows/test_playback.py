@@ -9,7 +9,7 @@ import pytest
 from stages.shared.artifacts.bundle import write_bundle
 from stages.shared.errors import UsageProblem
 from stages.workflows import playback as stage
-from stages.workflows.playback import PlaybackConfig
+from stages.workflows.config import PlaybackConfig
 from tests.shared.outfit.wardrobe import bundle, motion, worn
 
 

@@ -105,7 +105,7 @@ class Console:
             return
         for line in result_lines(result, failures.current.verbose):
             self._print(f"  {line}")
-        seconds = time.monotonic() - failures.current.started
+        seconds = time.monotonic() - (failures.current.started or time.monotonic())
         if seconds > _WORTH_TELLING:
             self._print(f"  took {duration(seconds)}")
         if watch is not None:

@@ -9,15 +9,18 @@ from typing import Annotated
 import typer
 
 from gw_cli.completion import layers
+from gw_cli.config_options import config_options
 from gw_cli.console import Console, command
 from gw_cli.inputs import check_poses, check_stages
 from gw_cli.options import Distilled, DryRun, Json, Preset, Subject, names, preset_config
+from stages.export_garment.config import PRESETS, TemplateMeshConfig
 from stages.shared.layers import BODY
 
 
 def register(app: typer.Typer) -> None:
     @app.command("export-garment")
     @command
+    @config_options({"mesh": TemplateMeshConfig()})
     def export_garment(
         subject: Subject,
         layer: Annotated[str, typer.Option(help="body | lower | upper | outer.", autocompletion=layers)],
@@ -33,9 +36,7 @@ def register(app: typer.Typer) -> None:
         poses: Annotated[
             Path | None, typer.Option(help="With --mesh: a motion that the file carries as animation.")
         ] = None,
-        own_shape: Annotated[
-            bool, typer.Option(help="With --mesh: in the subject's shape, or of zero shape.")
-        ] = True,
+        config: TemplateMeshConfig = TemplateMeshConfig(),
         slots: Annotated[
             str,
             typer.Option(
@@ -62,10 +63,11 @@ def register(app: typer.Typer) -> None:
 
         gw export-garment SUBJECT --layer lower --mesh skirt.glb --poses walk.bvh
 
-        The mesh opens in Blender and in engines: 55 joints with the names of SMPL-X, 8 weights per vertex,
-        vertex colours. Splat files of a bundle come from `gw render --poses canonical --export ply`.
+        The mesh opens in Blender and in engines. It has 55 joints with the names of SMPL-X and 8 or 4 weights
+        per vertex. Its texture is the layer's map with the learned colours (before training: the projected
+        ones). Without maps, or with --no-texture, it has vertex colours. Splat files of a bundle come from
+        `gw render --poses canonical --export ply`.
         """
-        from stages.export_garment.config import PRESETS, TemplateMeshConfig
         from stages.shared.errors import UsageProblem
 
         console = Console(as_json)
@@ -82,7 +84,7 @@ def register(app: typer.Typer) -> None:
         from stages.export_garment import stage, template_mesh
 
         if mesh is not None:
-            shape = TemplateMeshConfig(layer, own_shape)
+            shape = replace(config, layer=layer)
             if dry_run:
                 planned = template_mesh.plan(subject, mesh, shape, poses)
                 if output is None:
@@ -93,7 +95,7 @@ def register(app: typer.Typer) -> None:
                 if output is None:
                     console.result(made)
                     return
-        config = replace(
+        exported = replace(
             preset_config(PRESETS, preset),
             layer=layer,
             slots=names(slots),
@@ -103,9 +105,9 @@ def register(app: typer.Typer) -> None:
         )
         target = output or Path(f"{layer}.gwg")
         if dry_run:
-            console.plan(stage.plan(subject, target, config))
+            console.plan(stage.plan(subject, target, exported))
             return
-        result = stage.run(subject, target, config, console)
+        result = stage.run(subject, target, exported, console)
         body = "body.gwg" if layer != BODY else str(result.path)
         worn = str(result.path) if layer != BODY else "skirt.gwg"
         console.result(

@@ -15,7 +15,7 @@ import tempfile
 import time
 import traceback
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, NoReturn, TypeVar
 
 import typer
@@ -39,12 +39,13 @@ class Invocation:
     """The command that is running.
 
     Attributes:
-        started: time.monotonic() of its begin. close_bar: takes a progress bar off the terminal.
+        started: time.monotonic() of its begin; None where no command runs.
+        close_bar: takes a progress bar off the terminal.
     """
 
     as_json: bool = False
     verbose: bool = False
-    started: float = field(default_factory=time.monotonic)
+    started: float | None = None
     close_bar: Callable[[], None] = lambda: None
 
 
@@ -68,7 +69,7 @@ def command(function: Command) -> Command:
     @functools.wraps(function)
     def guarded(*arguments: Any, **options: Any) -> Any:
         global current
-        current = Invocation(bool(options.get("as_json")), options.pop("verbose", False))
+        current = Invocation(bool(options.get("as_json")), options.pop("verbose", False), time.monotonic())
         try:
             return function(*arguments, **options)
         except GwError as error:
@@ -85,6 +86,7 @@ def command(function: Command) -> Command:
             fail(_storage_failure(error) if isinstance(error, OSError) else _our_bug(error))
         finally:
             current.close_bar()
+            current.started = None
 
     guarded.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
     return guarded  # type: ignore[return-value]

@@ -1,4 +1,4 @@
-"""A headless Chromium for tests, spoken to over its debugging pipe: no driver, no port, no package.
+"""A headless Chromium for tests, controlled over its debugging pipe: no driver, no port, no package.
 
 Protocol: Chrome DevTools Protocol; with `--remote-debugging-pipe`, JSON messages that end in a zero byte
 go through file descriptors 3 and 4.
@@ -38,7 +38,7 @@ class Page:
     `requests`."""
 
     def __init__(
-        self, process: subprocess.Popen[bytes], write: int, read: int, size: tuple[int, int]
+        self, process: subprocess.Popen[bytes], write: int, read: int, size: tuple[int, int], phone: bool
     ) -> None:
         self.complaints: list[str] = []
         self.requests: list[str] = []
@@ -56,11 +56,12 @@ class Page:
             width=width,
             height=height,
             deviceScaleFactor=1,
-            mobile=False,
+            mobile=phone,
         )
+        self._call("Emulation.setTouchEmulationEnabled", enabled=phone)
 
     def open(self, address: str, seconds: float = 120) -> None:
-        """Go there and wait until it is loaded."""
+        """Open an address and wait until the page is loaded."""
         self._loaded = False
         self._call("Page.navigate", url=address)
         deadline = time.monotonic() + seconds
@@ -82,6 +83,11 @@ class Page:
         while not self.run(code):
             assert time.monotonic() < deadline, f"{code} never came true; {self.complaints}"
             time.sleep(0.05)
+
+    def press(self, key: str, shift: bool = False) -> None:
+        """Press and release a key, as `KeyboardEvent.key` names it."""
+        for kind in ("keyDown", "keyUp"):
+            self._call("Input.dispatchKeyEvent", type=kind, key=key, modifiers=8 if shift else 0)
 
     def screenshot(self) -> np.ndarray:
         """(H, W, 3) u8 of what is on the screen."""
@@ -128,8 +134,8 @@ class Page:
 
 
 @contextlib.contextmanager
-def browser_page(width: int, height: int) -> Iterator[Page]:
-    """A fresh browser with one empty tab, drawing without a graphics card."""
+def browser_page(width: int, height: int, phone: bool = False) -> Iterator[Page]:
+    """A new browser with one empty tab, drawing without a graphics card; a phone has touch and no mouse."""
     program = chromium()
     commands_out, commands_in = os.pipe()
     answers_out, answers_in = os.pipe()
@@ -150,7 +156,7 @@ def browser_page(width: int, height: int) -> Iterator[Page]:
         os.close(commands_out)
         os.close(answers_in)
         try:
-            yield Page(process, commands_in, answers_out, (width, height))
+            yield Page(process, commands_in, answers_out, (width, height), phone)
         finally:
             process.kill()
             process.wait(30)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from stages.shared.option import option
+
 
 @dataclass(frozen=True)
 class ExportGarmentConfig:
@@ -33,15 +35,20 @@ class ExportGarmentConfig:
 
 @dataclass(frozen=True)
 class TemplateMeshConfig:
-    """Of the template mesh of a layer.
+    """Of the template mesh of a layer. The help of each option is in its metadata.
 
     Attributes:
         layer: "body", "lower", "upper" or "outer".
-        own_shape: in the subject's shape; false: of zero shape, as garments are exchanged.
     """
 
     layer: str = "lower"
-    own_shape: bool = True
+    own_shape: bool = option(True, "With --mesh: in the subject's shape, or of zero shape.", panel="Mesh")
+    texture: bool = option(
+        True, "With --mesh: UVs and the layer's map as a texture, or colours of vertices.", panel="Mesh"
+    )
+    weights_per_vertex: int = option(
+        8, "With --mesh: 8, or 4 for programs that read four weights.", panel="Mesh"
+    )
 
 
 PRESETS: dict[str, ExportGarmentConfig] = {

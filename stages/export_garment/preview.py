@@ -11,16 +11,22 @@ from stages.shared.avatar.deform import pose_layer
 from stages.shared.outfit.layer import WornLayer
 from stages.shared.outfit.render_image import render_image
 from stages.shared.outfit.viewpoints import look_at_camera
+from stages.shared.splat.gaussians import Gaussians
 
 _PAPER = (0.96, 0.96, 0.96)
 
 
-def preview_picture(layer: WornLayer, size: int) -> NDArray[np.uint8]:
-    """(size, size, 3) u8: front in the left half, back in the right one."""
+def canonical_composite(layer: WornLayer) -> Gaussians:
+    """The layer's Gaussians in the canonical pose and of zero shape, in the order of its texels."""
     still = torch.eye(4).expand(55, 4, 4)
     with torch.no_grad():
         attributes = layer.model(still)
-        composite = compose({layer.name: pose_layer(layer.maps, attributes, still, torch.zeros(10))})
+        return compose({layer.name: pose_layer(layer.maps, attributes, still, torch.zeros(10))})
+
+
+def preview_picture(layer: WornLayer, size: int) -> NDArray[np.uint8]:
+    """(size, size, 3) u8: front in the left half, back in the right one."""
+    composite = canonical_composite(layer)
     means = composite.means.double().numpy()
     low, high = means.min(axis=0), means.max(axis=0)
     width, height, depth = (high - low).tolist()

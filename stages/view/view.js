@@ -1,4 +1,4 @@
-// The page of `gw view`. A worker fetches, unpacks and sorts Gaussians; this thread draws and minds the controls.
+// The page of `gw view`. A worker fetches, unpacks and sorts Gaussians; this thread draws and handles the controls.
 "use strict";
 const byId = (name) => document.getElementById(name);
 const token = new URLSearchParams(location.search).get("token") || "";
@@ -176,7 +176,7 @@ function draw() {
 
 let sorting = false, sortAgain = false;
 
-/** Draw from another place: the order is made anew in the worker, and drawn again with it. */
+/** Draw from another place: the worker sorts again, and its order is drawn when it arrives. */
 function resort() {
   sortAgain = sorting;
   if (sorting) return;
@@ -287,40 +287,47 @@ function showLayers(layers) {
   }));
 }
 
-const thumbnails = new Map();
+const thumbnails = new Map(); // name of a bundle -> address of its picture
 
-async function thumbnail(image, name) {
-  image.hidden = !name;
-  if (!name) return;
-  if (!thumbnails.has(name)) thumbnails.set(name, ask("preview?" + new URLSearchParams({ name })).then((answer) => answer.blob()));
-  image.src = URL.createObjectURL(await thumbnails.get(name));
+async function showThumbnail(image, name) {
+  if (!thumbnails.has(name)) {
+    const picture = ask("preview?" + new URLSearchParams({ name })).then((answer) => answer.blob());
+    thumbnails.set(name, picture.then((blob) => URL.createObjectURL(blob)));
+  }
+  image.src = await thumbnails.get(name);
+}
+
+/** A tile of the wardrobe: a radio button with the picture and the name of a bundle; "" is nothing. */
+function tile(slot, name, checked) {
+  const radio = element("input", { type: "radio", name: "wear-" + slot, value: name, checked });
+  radio.addEventListener("change", wearChosen);
+  if (!name) return element("label", { className: "tile" }, radio, element("span", {}, "none"));
+  const image = element("img", { alt: "" });
+  showThumbnail(image, name).catch(say);
+  return element("label", { className: "tile", title: name }, radio, image, element("span", {}, name));
+}
+
+const chosenBody = () => document.querySelector("[name=wear-body]:checked")?.value || "";
+
+function wearChosen() {
+  const other = chosenBody() !== gw.body;
+  gw.body = chosenBody();
+  const wear = [...byId("pieces").querySelectorAll(":checked")].map(({ value }) => value).filter(Boolean);
+  change(other ? { wear, betas: "" } : { wear });
+  if (other) showShape().catch(say);
 }
 
 function offerPieces(pieces, slots) {
   byId("wardrobe").hidden = !pieces.length;
-  const choice = (title, offered, optional) => {
-    const select = element("select", { name: "wear-" + title }), image = element("img", { alt: "" });
-    if (optional) select.append(element("option", { value: "" }, "none"));
-    for (const piece of offered) select.append(element("option", { value: piece.name }, piece.name));
-    select.value = offered.map((piece) => piece.name).find((name) => gw.request.wear.includes(name)) || "";
-    thumbnail(image, select.value);
-    select.addEventListener("change", () => {
-      thumbnail(image, select.value);
-      const body = byId("pieces").querySelector("select").value, other = body !== gw.body;
-      gw.body = body;
-      const wear = [...byId("pieces").querySelectorAll("select")].map((one) => one.value).filter(Boolean);
-      change(other ? { wear, betas: "" } : { wear });
-      if (other) showShape();
-    });
-    return element("label", {}, element("span", {}, title), select, image);
-  };
-  const rows = [choice("body", pieces.filter((piece) => piece.kind === "body"), false)];
-  for (const slot of slots) {
-    const offered = pieces.filter((piece) => piece.layer === slot);
-    if (offered.length) rows.push(choice(slot, offered, true));
-  }
-  byId("pieces").replaceChildren(...rows);
-  gw.body = pieces.length ? byId("pieces").querySelector("select").value : "";
+  const groups = [["body", pieces.filter(({ kind }) => kind === "body")]];
+  for (const slot of slots) groups.push([slot, pieces.filter(({ layer }) => layer === slot)]);
+  byId("pieces").replaceChildren(...groups.filter(([, offered]) => offered.length).map(([slot, offered]) => {
+    const names = offered.map(({ name }) => name), worn = names.find((name) => gw.request.wear.includes(name)) || "";
+    const tiles = element("div", { className: "tiles" });
+    tiles.append(...(slot === "body" ? names : ["", ...names]).map((name) => tile(slot, name, name === worn)));
+    return element("fieldset", {}, element("legend", {}, slot), tiles);
+  }));
+  gw.body = chosenBody();
 }
 
 const SHAPE_NAMES = ["Height", "Girth"];

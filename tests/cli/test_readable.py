@@ -79,9 +79,9 @@ def test_a_terminal_gets_a_bar_and_a_line_that_stays(
     monkeypatch.setattr(streams, "is_terminal", lambda name: True)
     console = Console()
     console.step("training\x07")
-    console.progress(1, 4, loss=0.5)
+    console.progress(1, 4)
     console.warn("slow")
-    console.progress(4, 4)
+    console.progress(4, 4, loss=0.5)
     console.result({"path": "out"}, next_command=("gw", "train", "my subject"), when="all is done")
     printed = capsys.readouterr()
     assert printed.out == "" and "loss 0.5" in printed.err and "\x07" not in printed.err

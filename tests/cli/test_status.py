@@ -22,7 +22,7 @@ def gw(*words: str | Path) -> tuple[int, str, str]:
 
 
 def result(stdout: str) -> dict[str, Any]:
-    found = json.loads(stdout.splitlines()[-1])["result"]
+    (found,) = (row["result"] for row in map(json.loads, stdout.splitlines()) if "result" in row)
     assert isinstance(found, dict)
     return found
 

@@ -59,13 +59,8 @@ class GlbWriter:
         kind = _KIND[values.shape[1:]]
         stored = np.ascontiguousarray(values.swapaxes(1, 2) if kind == "MAT4" else values)
         stored = stored.astype(stored.dtype.newbyteorder("<"))
-        self._data += b"\0" * (-len(self._data) % 4)
-        view: dict[str, Any] = {"buffer": 0, "byteOffset": len(self._data), "byteLength": stored.nbytes}
-        if target is not None:
-            view["target"] = target
-        self._data += stored.tobytes()
         accessor: dict[str, Any] = {
-            "bufferView": len(self.content["bufferViews"]),
+            "bufferView": self.data(stored.tobytes(), target),
             "componentType": _COMPONENT[stored.dtype.str],
             "count": len(values),
             "type": kind,
@@ -75,9 +70,18 @@ class GlbWriter:
         if bounds:
             accessor["min"] = np.atleast_1d(stored.min(axis=0)).tolist()
             accessor["max"] = np.atleast_1d(stored.max(axis=0)).tolist()
-        self.content["bufferViews"].append(view)
         self.content["accessors"].append(accessor)
         return len(self.content["accessors"]) - 1
+
+    def data(self, content: bytes, target: int | None = None) -> int:
+        """Add bytes, such as a picture; returns their buffer view."""
+        self._data += b"\0" * (-len(self._data) % 4)
+        view: dict[str, Any] = {"buffer": 0, "byteOffset": len(self._data), "byteLength": len(content)}
+        if target is not None:
+            view["target"] = target
+        self._data += content
+        self.content["bufferViews"].append(view)
+        return len(self.content["bufferViews"]) - 1
 
     def write(self, path: Path) -> None:
         """Write the file whole or not at all."""

@@ -15,6 +15,7 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from stages.shared.artifacts.pictures import encode_png
 from stages.shared.body import (
     JOINTS,
     PARENTS,
@@ -25,10 +26,12 @@ from stages.shared.body import (
     shaped_joints,
 )
 from stages.shared.export.glb import ELEMENT_BUFFER, GlbWriter
+from stages.shared.export.texture import MeshTexture
 from stages.shared.meshes.topology import vertex_normals
 from stages.shared.pictures.srgb import linear_from_srgb
 
 JOINTS_PER_VERTEX = 8  # two sets of four, as glTF has them
+_CLAMP = 33071  # glTF: what lies beyond the texture has the colour of its border
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +41,7 @@ class SkinnedMesh:
     Attributes:
         name: of the node. vertices: (V, 3) m, canonical, of zero shape. faces: (F, 3).
         skin_weights: (V, 55). shape_directions: (V, 10, 3) m per unit of shape. colors: (V, 3) u8 sRGB.
+        texture: takes the place of the colours.
     """
 
     name: str
@@ -46,16 +50,23 @@ class SkinnedMesh:
     skin_weights: NDArray[np.float32]
     shape_directions: NDArray[np.float32]
     colors: NDArray[np.uint8]
+    texture: MeshTexture | None = None
 
 
 def write_skinned_glb(
-    path: Path, mesh: SkinnedMesh, body: BodyModel, betas: NDArray[np.float32], poses: Poses | None = None
+    path: Path,
+    mesh: SkinnedMesh,
+    body: BodyModel,
+    betas: NDArray[np.float32],
+    poses: Poses | None = None,
+    weights_per_vertex: int = JOINTS_PER_VERTEX,
 ) -> None:
     """Write the mesh with its skeleton, whole or not at all.
 
     Arguments:
         betas: (10,) shape that mesh and skeleton take.
         poses: a motion to carry along as an animation; its own shape is not used.
+        weights_per_vertex: 4 or 8, the largest ones.
     """
     glb = GlbWriter()
     shape = torch.from_numpy(np.asarray(betas, np.float64))
@@ -81,10 +92,8 @@ def write_skinned_glb(
         "scene": 0,
         "scenes": [{"nodes": [0, len(JOINTS)]}],
         "nodes": nodes,
-        "meshes": [{"name": mesh.name, "primitives": [_primitive(glb, mesh, betas)]}],
-        "materials": [
-            {"name": mesh.name, "doubleSided": True, "pbrMetallicRoughness": {"metallicFactor": 0.0}}
-        ],
+        "meshes": [{"name": mesh.name, "primitives": [_primitive(glb, mesh, betas, weights_per_vertex)]}],
+        "materials": [_material(glb, mesh)],
         "skins": [
             {
                 "joints": list(range(len(JOINTS))),
@@ -111,22 +120,43 @@ def strongest_weights(
     return np.where(kept > 0, order, 0).astype(np.uint8), kept.astype(np.float32)
 
 
-def _primitive(glb: GlbWriter, mesh: SkinnedMesh, betas: NDArray[np.float32]) -> dict[str, object]:
+def _material(glb: GlbWriter, mesh: SkinnedMesh) -> dict[str, object]:
+    surface: dict[str, object] = {"metallicFactor": 0.0}
+    if mesh.texture is not None:
+        picture = glb.data(encode_png(mesh.texture.image))
+        glb.content |= {
+            "images": [{"bufferView": picture, "mimeType": "image/png"}],
+            "samplers": [{"wrapS": _CLAMP, "wrapT": _CLAMP}],
+            "textures": [{"source": 0, "sampler": 0}],
+        }
+        surface["baseColorTexture"] = {"index": 0}
+    return {"name": mesh.name, "doubleSided": True, "pbrMetallicRoughness": surface}
+
+
+def _primitive(
+    glb: GlbWriter, mesh: SkinnedMesh, betas: NDArray[np.float32], weights_per_vertex: int
+) -> dict[str, object]:
     shaped = mesh.vertices + np.einsum("b,vbk->vk", betas, mesh.shape_directions)
-    joints, weights = strongest_weights(mesh.skin_weights)
-    color = np.full((len(shaped), 4), 255, np.uint8)
-    color[:, :3] = np.rint(255 * linear_from_srgb(mesh.colors / 255.0))
+    joints, weights = strongest_weights(mesh.skin_weights, weights_per_vertex)
+    rows, faces = (
+        (slice(None), mesh.faces) if mesh.texture is None else (mesh.texture.vertex, mesh.texture.faces)
+    )
     attributes = {
-        "POSITION": glb.array(shaped.astype(np.float32), bounds=True),
-        "NORMAL": glb.array(_normals(shaped, mesh.faces)),
-        "COLOR_0": glb.array(color, normalized=True),
+        "POSITION": glb.array(shaped[rows].astype(np.float32), bounds=True),
+        "NORMAL": glb.array(_normals(shaped, mesh.faces)[rows]),
     }
-    for part in range(JOINTS_PER_VERTEX // 4):
+    if mesh.texture is not None:
+        attributes["TEXCOORD_0"] = glb.array(mesh.texture.uvs)
+    else:
+        color = np.full((len(shaped), 4), 255, np.uint8)
+        color[:, :3] = np.rint(255 * linear_from_srgb(mesh.colors / 255.0))
+        attributes["COLOR_0"] = glb.array(color, normalized=True)
+    for part in range(weights_per_vertex // 4):
         chosen = slice(4 * part, 4 * part + 4)
-        attributes[f"JOINTS_{part}"] = glb.array(joints[:, chosen])
-        attributes[f"WEIGHTS_{part}"] = glb.array(weights[:, chosen])
-    faces = glb.array(mesh.faces.reshape(-1).astype(np.uint32), ELEMENT_BUFFER)
-    return {"attributes": attributes, "indices": faces, "material": 0}
+        attributes[f"JOINTS_{part}"] = glb.array(joints[rows, chosen])
+        attributes[f"WEIGHTS_{part}"] = glb.array(weights[rows, chosen])
+    indices = glb.array(faces.reshape(-1).astype(np.uint32), ELEMENT_BUFFER)
+    return {"attributes": attributes, "indices": indices, "material": 0}
 
 
 def _animation(glb: GlbWriter, poses: Poses, root: NDArray[np.float64]) -> dict[str, object]:

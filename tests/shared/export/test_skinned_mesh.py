@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,8 @@ from stages.shared.body import JOINTS, Poses, blend, embedded_body, posed_from_c
 from stages.shared.export.glb import GlbReader
 from stages.shared.export.notes import write_notes
 from stages.shared.export.skinned_mesh import SkinnedMesh, strongest_weights, write_skinned_glb
+from stages.shared.export.texture import mesh_texture
+from tests.shared.export.validator import gltf_validator_report
 from tests.shared.outfit.wardrobe import tube_mesh, worn
 
 BETAS = np.array([1.5, -1, 0.5, 0, 0, 0, 0, 0, 0, 2], np.float32)
@@ -122,3 +125,64 @@ def test_notes_say_frame_unit_and_colour(tmp_path: Path) -> None:
         notes = json.loads((tmp_path / f"{kind}.json").read_bytes())
         assert notes["frame"] == "world" and notes["unit"] == "metre" and notes["layers"] == ["body"]
         assert "+y up" in notes["axes"] and ("sRGB" in notes.get("color_space", "")) == (kind != "mesh")
+
+
+@pytest.fixture(scope="module")
+def textured(mesh: SkinnedMesh) -> SkinnedMesh:
+    """The mesh with a texture whose colours say where each texel is."""
+    maps = worn("upper").maps
+    return replace(
+        mesh, texture=mesh_texture(maps, place_colors(maps.positions.numpy()), mesh.vertices, mesh.faces)
+    )
+
+
+def place_colors(points: np.ndarray) -> np.ndarray:
+    """(N, 3) colours 0..1 that change slowly and differ between front and back."""
+    low, high = np.array([-0.6, -1.0, -0.3]), np.array([0.6, 1.0, 0.3])
+    return np.clip((points - low) / (high - low), 0, 1)
+
+
+def test_the_texture_shows_every_place_its_own_texel(textured: SkinnedMesh, tmp_path: Path) -> None:
+    """Another reader samples the texture at its UVs and gets the colour of that place of the surface."""
+    write_skinned_glb(tmp_path / "a.glb", textured, embedded_body(), np.zeros(10, np.float32))
+    loaded = trimesh.load_scene(tmp_path / "a.glb").to_mesh()
+    assert len(loaded.faces) == len(textured.faces)
+    picture = loaded.visual.material.baseColorTexture
+    triangles, uvs = loaded.vertices[loaded.faces].mean(axis=1), loaded.visual.uv[loaded.faces].mean(axis=1)
+    seen = np.asarray(picture)[
+        ((1 - uvs[:, 1]) * picture.height).astype(int), (uvs[:, 0] * picture.width).astype(int)
+    ]
+    errors = np.abs(seen / 255.0 - place_colors(triangles)).max(axis=1)
+    assert np.quantile(errors, 0.99) < 0.03 and (errors < 0.2).all()
+
+
+def test_seams_double_vertices_and_not_normals(textured: SkinnedMesh, tmp_path: Path) -> None:
+    texture = textured.texture
+    assert texture is not None and len(texture.vertex) >= len(np.unique(textured.faces))
+    np.testing.assert_array_equal(texture.vertex[texture.faces], textured.faces)
+    write_skinned_glb(tmp_path / "a.glb", textured, embedded_body(), BETAS)
+    write_skinned_glb(tmp_path / "b.glb", replace(textured, texture=None), embedded_body(), BETAS)
+    with_uvs, without = (
+        {
+            name: glb.array(accessor)
+            for name, accessor in glb.content["meshes"][0]["primitives"][0]["attributes"].items()
+        }
+        for glb in (GlbReader(tmp_path / "a.glb"), GlbReader(tmp_path / "b.glb"))
+    )
+    for name in ("POSITION", "NORMAL", "WEIGHTS_0", "JOINTS_1"):
+        np.testing.assert_array_equal(with_uvs[name], without[name][texture.vertex])
+    assert "COLOR_0" not in with_uvs and "TEXCOORD_0" not in without
+
+
+def test_four_weights_on_request(mesh: SkinnedMesh, tmp_path: Path) -> None:
+    write_skinned_glb(tmp_path / "a.glb", mesh, embedded_body(), BETAS, weights_per_vertex=4)
+    glb = GlbReader(tmp_path / "a.glb")
+    fields = glb.content["meshes"][0]["primitives"][0]["attributes"]
+    assert "JOINTS_1" not in fields and "WEIGHTS_1" not in fields
+    np.testing.assert_allclose(glb.array(fields["WEIGHTS_0"]).sum(axis=1), 1, atol=1e-6)
+
+
+def test_the_validator_of_khronos_finds_no_error(textured: SkinnedMesh, dance: Poses, tmp_path: Path) -> None:
+    write_skinned_glb(tmp_path / "a.glb", textured, embedded_body(), BETAS, dance)
+    report = gltf_validator_report(tmp_path / "a.glb")
+    assert report["issues"]["numErrors"] == 0 and report["issues"]["numWarnings"] == 0, report["issues"]

@@ -8,7 +8,6 @@ import socket
 import struct
 import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -37,18 +36,6 @@ FREE = ViewConfig(port=0)
 
 def psnr(one: np.ndarray, other: np.ndarray) -> float:
     return float(10 * np.log10(255**2 / max(np.square(one.astype(float) - other).mean(), 1e-9)))
-
-
-@pytest.fixture(scope="module")
-def viewer(wardrobe: Path) -> Iterator[Viewer]:
-    with stage.open_viewer(
-        [wardrobe / "body.gwg", wardrobe / "lower.gwg"], wardrobe, [wardrobe / "motion.npz"], FREE
-    ) as made:
-        thread = threading.Thread(target=made.serve_forever, args=(0.05,), daemon=True)
-        thread.start()
-        yield made
-        made.shutdown()
-        thread.join(10)
 
 
 def fetched(
@@ -90,8 +77,7 @@ def test_the_browser_shows_what_we_render(viewer: Viewer, wardrobe: Path) -> Non
         assert (wanted[free] < 200).any(axis=2).mean() > 0.01  # there is somebody
         assert psnr(first[free][:, ::-1], wanted[free]) < 30
 
-        tab.run("const one = document.querySelector('[name=wear-upper]'); one.value = 'upper';"
-                "one.dispatchEvent(new Event('change'))")  # fmt: skip
+        tab.run("document.querySelector('[name=wear-upper][value=upper]').click()")
         tab.wait_for("gw.canvas.gaussians.layers.some((layer) => layer.name === 'upper')")
         settled()
         second = shown()

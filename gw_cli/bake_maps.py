@@ -27,13 +27,14 @@ def register(app: typer.Typer) -> None:
         All layers and subjects share one grid, so the same texel is the same place on everybody. Layers whose
         two views leave more than 1 % unseen get further sheets for what lies behind.
         """
+        console = Console(as_json)
         check_inputs_of("bake-maps", subject)
 
+        console.loading()
         from stages.bake_maps import stage
 
-        console = Console(as_json)
         if dry_run:
             console.plan(stage.plan(subject, config))
             return
         result = stage.run(subject, config, console, force)
-        console.result(result.summary, next_command=f"gw train {subject}")
+        console.result(result.summary, next_command=("gw", "train", subject))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import shutil
+from typing import IO, cast
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn
@@ -26,7 +27,7 @@ class Bar:
 
     def __init__(self, text: str) -> None:
         console = Console(
-            file=_StandardError(),
+            file=cast(IO[str], _StandardError()),
             force_terminal=True,
             width=shutil.get_terminal_size().columns,
             markup=False,

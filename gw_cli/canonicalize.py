@@ -65,10 +65,11 @@ def register(app: typer.Typer) -> None:
         else:
             check_inputs_of("canonicalize", subject)
 
+        console.loading()
         from stages.canonicalize import stage
 
         if dry_run:
             console.plan(stage.plan(subject, config))
             return
         result = stage.run(subject, config, console, force)
-        console.result(result.summary, next_command=f"gw segment-layers {subject}")
+        console.result(result.summary, next_command=("gw", "segment-layers", subject))

@@ -89,13 +89,13 @@ def config_options(
             if parameter.name == "config":
                 parameters += map(parameter_of, options)
                 parameters += [] if preset is None else [_parameter("preset", preset, Preset)]
-            elif parameter.name != "preset":
+            elif preset is None or parameter.name != "preset":
                 parameters.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
 
         @functools.wraps(function)
         def called(**values: Any) -> None:
             name = first
-            if preset is not None:  # the command may have the option --preset itself
+            if preset is not None:  # a command may take the name as well
                 name = values["preset"] if "preset" in signature.parameters else values.pop("preset")
             config = preset_config(dict(presets), name)
             for option in options:

@@ -40,6 +40,7 @@ def register(app: typer.Typer) -> None:
         check_device(device)
         config = DemoConfig(preset=preset, seed=seed, train_steps=steps, device=device)
 
+        console.loading()
         from gw_cli.child import run_command
         from stages.workflows.demo import stage
 
@@ -51,7 +52,7 @@ def register(app: typer.Typer) -> None:
         if not as_json:  # all scores are on the page
             for line in _scores(shown.pop("scores")):
                 console.say(line)
-        console.result(shown, next_command=f"open {result.page}")
+        console.result(shown, watch=result.page)
 
 
 def _scores(evaluations: dict[str, Any]) -> Iterator[str]:

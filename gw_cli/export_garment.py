@@ -12,9 +12,9 @@ from gw_cli.completion import layers
 from gw_cli.config_options import config_options
 from gw_cli.console import Console, command
 from gw_cli.inputs import check_poses, check_stages
-from gw_cli.options import Distilled, DryRun, Json, Preset, Subject, names, preset_config
+from gw_cli.options import Distilled, DryRun, Json, Preset, Subject, names, one_of, preset_config
 from stages.export_garment.config import PRESETS, TemplateMeshConfig
-from stages.shared.layers import BODY
+from stages.shared.layers import BODY, LAYERS
 
 
 def register(app: typer.Typer) -> None:
@@ -77,10 +77,12 @@ def register(app: typer.Typer) -> None:
                 "option --poses",
                 "Leave it out, or add --mesh FILE.glb.",
             )
+        one_of("--layer", layer, LAYERS, "layer")
         learned = "distill" if distilled else "train"
         check_stages(subject, learned if mesh is None or output is not None else "segment-layers")
         check_poses([poses])
 
+        console.loading()
         from stages.export_garment import stage, template_mesh
 
         if mesh is not None:
@@ -108,9 +110,7 @@ def register(app: typer.Typer) -> None:
             console.plan(stage.plan(subject, target, exported))
             return
         result = stage.run(subject, target, exported, console)
-        body = "body.gwg" if layer != BODY else str(result.path)
-        worn = str(result.path) if layer != BODY else "skirt.gwg"
+        shown = {"path": result.path, **result.summary}
         console.result(
-            {"path": result.path, **result.summary},
-            next_command=f"gw tryon {body} {worn} --poses motion.npz -o tryon",
+            shown, ("gw", "inspect", result.path) if layer != BODY else ("gw", "view", result.path, "--open")
         )

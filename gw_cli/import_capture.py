@@ -64,10 +64,11 @@ def register(app: typer.Typer) -> None:
         are none. Look at CAPTURE/contact_sheet.png: it shows the cameras and a picture of each with its
         mask.
         """
+        console = Console(as_json)
+        console.loading()
         from stages.import_capture import stage
         from stages.import_capture.config import ImportConfig
 
-        console = Console(as_json)
         config = ImportConfig(
             take=take,
             fps=fps,
@@ -86,7 +87,9 @@ def register(app: typer.Typer) -> None:
             console.plan(stage.plan(source, output, config, calibration))
             return
         result = stage.run(source, output, config, console, calibration)
-        console.result(result.summary, next_command=f"gw register-template {output} -o SUBJECT --fit")
+        console.result(
+            result.summary, next_command=("gw", "register-template", output, "-o", "SUBJECT", "--fit")
+        )
 
 
 def _slice(text: str) -> tuple[int, int | None, int]:

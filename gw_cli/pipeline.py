@@ -59,5 +59,5 @@ def register(app: typer.Typer) -> None:
         write_whole(output, snakefile(named, workspaces.as_posix(), preset).encode())
         console.result(
             {"file": output, "subjects": sorted(named), "jobs": len(named) * len(PIPELINE)},
-            next_command=f"snakemake --snakefile {output} --cores 2",
+            next_command=("snakemake", "--snakefile", output, "--cores", "2"),
         )

@@ -70,6 +70,7 @@ def register(app: typer.Typer) -> None:
         config = replace(config, poses=poses, hold_out=tuple(hold_out or ()))
         check_exists(given, "capture or mesh")
 
+        console.loading()
         from stages.register_template import stage
 
         if dry_run:
@@ -80,4 +81,4 @@ def register(app: typer.Typer) -> None:
         result = stage.run(
             given, subject, config, console, body_model, params, capture_format, force, fit_body_model
         )
-        console.result(result.summary, next_command=f"gw canonicalize {subject}")
+        console.result(result.summary, next_command=("gw", "canonicalize", subject))

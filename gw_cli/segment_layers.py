@@ -27,13 +27,14 @@ def register(app: typer.Typer) -> None:
         Labels come from the label images of the template's frame (every camera votes where it sees the
         surface) or from the scan. The body is the whole body model, with the hair and shoes of the template.
         """
+        console = Console(as_json)
         check_inputs_of("segment-layers", subject)
 
+        console.loading()
         from stages.segment_layers import stage
 
-        console = Console(as_json)
         if dry_run:
             console.plan(stage.plan(subject, config))
             return
         result = stage.run(subject, config, console, force)
-        console.result(result.summary, next_command=f"gw bake-maps {subject}")
+        console.result(result.summary, next_command=("gw", "bake-maps", subject))

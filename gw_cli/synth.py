@@ -35,6 +35,7 @@ def register(app: typer.Typer) -> None:
         console = Console(as_json)
         config = dataclasses.replace(preset_config(PRESETS, preset), seed=seed)
 
+        console.loading()
         from stages.synth import stage
 
         if dry_run:
@@ -44,5 +45,5 @@ def register(app: typer.Typer) -> None:
         first = result.captures["subject_1"]
         console.result(
             {"captures": result.captures, "motion": result.motion, **result.summary},
-            next_command=f"gw register-template {first} -o {output / 'wardrobe' / first.name}",
+            next_command=("gw", "register-template", first, "-o", output / "wardrobe" / first.name),
         )

@@ -83,6 +83,7 @@ def register(app: typer.Typer) -> None:
         if from_subject is not None:
             check_stages(from_subject, "train")
 
+        console.loading()
         from stages.shared.report import SILENT
         from stages.train import stage
         from stages.train.distributed import joined
@@ -108,12 +109,12 @@ def register(app: typer.Typer) -> None:
             {"artifact": result.artifact.path, **result.summary}
             if as_json
             else {"artifact": result.artifact.path, **_short(result.summary)},
-            next_command=f"gw export-garment {subject} --layer body -o body.gwg"
+            next_command=("gw", "export-garment", subject, "--layer", "body", "-o", "body.gwg")
             if config.method == DEFAULT_METHOD
-            else f"gw evaluate {subject}",
+            else ("gw", "evaluate", subject),
         )
 
 
 def _short(summary: dict[str, Any]) -> dict[str, Any]:
-    """What people are told; costs and what was left out are in the manifest."""
+    """What people read; costs and what was left out are in the manifest."""
     return {name: value for name, value in summary.items() if name not in ("costs", "left_out")}

@@ -115,7 +115,7 @@ def register(app: typer.Typer) -> None:
             console.result(shown, without_shard(sys.argv), when="when all parts are done")
             return
         film = result.summary.get("video")
-        following = ("gw", "view", *bundles, "--poses", poses, "--open")
+        following: tuple[str | Path, ...] = ("gw", "view", *bundles, "--poses", poses, "--open")
         console.result(shown, following, watch=result.path / str(film) if film else None)
 
 

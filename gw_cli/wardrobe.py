@@ -88,7 +88,7 @@ def _add(group: CommandApp) -> None:
             raise UsageProblem("Several bundles cannot have one name.", "option --name", "Add one by one.")
         added = [add_piece(folder, bundle, name) for bundle in bundles]
         digests = {piece.name: piece.card.digest for piece in added if piece.card}
-        console.result({"added": digests}, next_command=f"gw wardrobe list {folder}")
+        console.result({"added": digests}, next_command=("gw", "wardrobe", "list", folder))
 
 
 def _remove(group: CommandApp) -> None:
@@ -135,6 +135,7 @@ def _outfits(group: CommandApp) -> None:
         pieces(folder)  # refuses a missing folder
         check_poses([poses])
 
+        console.loading()
         from stages.wardrobe import stage
 
         result = stage.run(folder, output, poses, config, console)

@@ -33,8 +33,6 @@ from stages.shared.poses.read import load_poses
 from stages.shared.report import SILENT, Report
 from stages.shared.targets import check_file_target
 
-_ARRAYS = ("vertices", "faces", "skin_weights", "shape_directions", "colors")
-
 
 def run(
     subject: Path,
@@ -58,7 +56,15 @@ def run(
     body = BodyModel.from_arrays(registered.arrays("body.safetensors"))
     arrays = segmented.arrays(f"{config.layer}.safetensors")
     texture = _texture(Workspace(subject), config.layer, arrays) if config.texture else None
-    mesh = SkinnedMesh(config.layer, *(arrays[name] for name in _ARRAYS), texture)
+    mesh = SkinnedMesh(
+        config.layer,
+        arrays["vertices"],
+        arrays["faces"],
+        arrays["skin_weights"],
+        arrays["shape_directions"],
+        arrays["colors"],
+        texture,
+    )
     motion = None if poses is None else load_poses(poses, body, report=report)
     betas = np.zeros(10, np.float32)
     if config.own_shape:

@@ -130,6 +130,6 @@ def test_command(dressed_subject: Path, tmp_path: Path) -> None:
     assert dry.exit_code == 0 and not target.exists() and "skirt.gwg" in dry.stderr
     done = CliRunner().invoke(app, words)
     assert done.exit_code == 0, done.stderr
-    assert read_bundle(target).layer == "lower" and "gw tryon" in done.stderr
+    assert read_bundle(target).layer == "lower" and "gw inspect" in done.stderr
     wrong = CliRunner().invoke(app, [*words[:3], "hat", "-o", str(target)])
     assert wrong.exit_code == 2 and len(wrong.stderr.strip().splitlines()) == 3

@@ -1,4 +1,4 @@
-"""What --device may name."""
+"""The values of `--device`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ DEVICES = ("auto", "cpu", "cuda")
 
 
 def check_device(name: str) -> None:
-    """Raise UsageProblem for another name than those of `DEVICES`, and for CUDA where there is none."""
+    """Raise UsageProblem for a name that is not in `DEVICES`, and for CUDA on a machine without it."""
     if name not in DEVICES:
         raise UsageProblem(f"There is no device {name!r}.", "option --device", "Choose auto, cpu or cuda.")
     if name != "cuda":

@@ -1,4 +1,4 @@
-"""Errors that a user can act on: what is wrong, where, and what to do about it.
+"""Errors for users: what is wrong, where, and what to do.
 
 Every class carries the exit code of the command line (BSD `sysexits` where one fits).
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 
 class GwError(Exception):
-    """A failure with a cure. Printed as three lines; never as a traceback.
+    """A failure that the user can fix. The command line prints three lines and no traceback.
 
     Arguments:
         what: what is wrong, in one sentence.
@@ -25,25 +25,25 @@ class GwError(Exception):
 
 
 class UsageProblem(GwError):
-    """An option or argument that cannot be meant."""
+    """An option or argument that makes no sense."""
 
     exit_code = 2
 
 
 class BadData(GwError):
-    """An input that is there, but is not what it should be."""
+    """An input exists, but its content is wrong."""
 
     exit_code = 65
 
 
 class MissingInput(GwError):
-    """An input that is not there."""
+    """An input does not exist."""
 
     exit_code = 66
 
 
 class StorageFailure(GwError):
-    """Writing or reading failed: disk full, no permission, medium error."""
+    """Writing or reading failed: disk full, no permission, or a hardware error."""
 
     exit_code = 74
 

@@ -1,7 +1,7 @@
-"""Numbers that are no numbers are refused where they appear, by the name of the array and the index.
+"""Checks for NaN and infinity. The error names the array and the index.
 
-A function of many numbers looks at its result first: one sum over it is cheap, and NaN or infinity in any
-input that matters is still there. Only when the sum is not finite are the inputs searched for the culprit.
+A function checks its result first. One sum over it is cheap, and NaN or infinity in an input that matters
+also appears in the sum. The inputs are searched only when the sum is not finite.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ Array = TypeVar("Array")
 
 
 def finite(result: Array, function: str, **inputs: Any) -> Array:
-    """`result` itself, when all of it is finite.
+    """Return `result` if all of it is finite.
 
     Arguments:
         result: tensor or array of any shape.
         function: name for the message.
-        inputs: what it was computed from, by name; None and arrays of integers are passed over.
+        inputs: what it was computed from, by name. None and arrays of integers are ignored.
 
     Raises:
-        BadData: naming the first input that is not finite and the index in it; or, when all of them are
-            finite, the index in the result at which the numbers grew beyond their type.
+        BadData: the first input that is not finite, with the index. If all inputs are finite: the index in
+            the result at which a number exceeded the range of its type.
     """
     if not _all_finite(result):
         require_finite(function, **inputs)
@@ -39,10 +39,10 @@ def finite(result: Array, function: str, **inputs: Any) -> Array:
 
 
 def require_finite(function: str, **inputs: Any) -> None:
-    """Refuse NaN and infinity in inputs of a function whose result would not show them.
+    """Check inputs of a function whose result would not show NaN and infinity.
 
     Raises:
-        BadData: naming the array and the index.
+        BadData: an input is not finite. The error names the array and the index.
     """
     for name, array in inputs.items():
         if array is None or not _is_floating(array) or _all_finite(array):
@@ -56,7 +56,7 @@ def require_finite(function: str, **inputs: Any) -> None:
 
 
 def _all_finite(array: Any) -> bool:
-    """NaN and infinity survive a sum, so one number clears the array in the usual case."""
+    """Whether all entries are finite. A finite sum shows it; otherwise every entry is checked."""
     if isinstance(array, np.ndarray | np.floating | float):
         with np.errstate(all="ignore"):
             return bool(np.isfinite(np.sum(array))) or bool(np.isfinite(array).all())

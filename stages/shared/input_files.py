@@ -1,7 +1,7 @@
-"""Files that other programs wrote: read whole, with a bound, and only where they are regular files.
+"""Reading of files that other programs wrote: regular files up to a maximum size.
 
-Every reader of text and of JSON goes through this module, so that byte order marks, UTF-16, sizes, repeated
-names, huge numbers and deep nesting are treated the same way everywhere.
+Every reader of text and JSON uses this module. So byte order marks, UTF-16, sizes, repeated names, huge
+numbers and deep nesting are treated in one way.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _BYTE_ORDER_MARKS = (  # UTF-32 comes first: its little-endian mark begins with 
 
 
 def check_input_file(path: Path, what: str, limit: int | None = None) -> int:
-    """Size in bytes of a file that is about to be read; nothing is opened.
+    """Size in bytes of a file, without opening it.
 
     Arguments:
         path: the file.
@@ -72,7 +72,7 @@ def read_input(path: Path, what: str, limit: int | None = None) -> bytes:
 
 
 def decode_text(data: bytes, errors: str = "strict") -> str:
-    """Text of UTF-8 bytes, or of UTF-16 and UTF-32 with a byte order mark; the mark is no part of it.
+    """Text of UTF-8 bytes, or of UTF-16 and UTF-32 with a byte order mark; the mark is removed.
 
     UTF-16 without a mark is recognised where the first characters are ASCII: every other byte is zero.
 

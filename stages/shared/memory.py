@@ -1,4 +1,4 @@
-"""Memory that is free for this process, and work that would not fit refused before it begins."""
+"""The memory that this process may still use. Work that would not fit is refused before it starts."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from pathlib import Path
 
 from stages.shared.errors import UsageProblem
 
-REFUSED_ABOVE = 0.9  # share of the free memory that a run may be estimated at
+REFUSED_ABOVE = 0.9  # largest estimate of a run, as a share of the free memory
 _MESSAGES = ("not enough memory", "can't allocate memory", "out of memory", "bad_alloc", "cannot allocate")
 _MIB = 1 << 20
-_announced: list[int] = []  # estimate of the run that is at work, bytes
+_announced: list[int] = []  # estimate of the current run, bytes
 
 
 def available_bytes(
@@ -18,10 +18,10 @@ def available_bytes(
     cgroups: Path = Path("/sys/fs/cgroup"),
     statm: Path = Path("/proc/self/statm"),
 ) -> int | None:
-    """Memory that this process can still have, bytes; None where the system does not say.
+    """Bytes that this process can still allocate, or None if the system does not report it.
 
-    The least of what the machine has free, what the control group (of a container) leaves, and what the limit
-    on the address space (`ulimit -v`) leaves.
+    The minimum of the free memory of the machine, of what the control group (of a container) allows, and of
+    what the limit on the address space (`ulimit -v`) allows.
     """
     limits = [_machine(meminfo), _control_group(cgroups), _address_space(statm)]
     known = [limit for limit in limits if limit is not None]
@@ -29,10 +29,10 @@ def available_bytes(
 
 
 def require_memory(needed: int, where: str, fix: str) -> None:
-    """Refuse a run that is not likely to fit; remember its estimate for `memory_refusal`.
+    """Refuse a run that probably does not fit, and store its estimate for `memory_refusal`.
 
     Arguments:
-        needed: estimate of the whole process, bytes. where: options that decide it. fix: what needs less.
+        needed: estimate of the whole process, bytes. where: options that determine it. fix: what needs less.
 
     Raises:
         UsageProblem: more than nine tenths of the free memory are needed.
@@ -48,7 +48,7 @@ def require_memory(needed: int, where: str, fix: str) -> None:
 
 
 def is_memory_error(error: BaseException) -> bool:
-    """Whether an exception says that memory ran out: Python's own, NumPy's, torch's, OpenCV's."""
+    """Whether an exception of Python, NumPy, torch or OpenCV means that memory ran out."""
     if isinstance(error, MemoryError):
         return True
     try:
@@ -59,7 +59,7 @@ def is_memory_error(error: BaseException) -> bool:
 
 
 def memory_refusal(where: str) -> UsageProblem:
-    """What a command says when memory ran out in spite of the estimate, or without one."""
+    """The error of a command when memory ran out, with or without an estimate."""
     needed = (
         f"It was estimated to need {_announced[0] // _MIB} MiB" if _announced else "Its need is not known"
     )
@@ -83,9 +83,9 @@ def _machine(meminfo: Path) -> int | None:
 
 
 def _control_group(folder: Path) -> int | None:
-    """What the limit of the control group leaves, by the names of version 2 and of version 1.
+    """Bytes that the limit of the control group leaves, for version 2 and version 1.
 
-    Cached files count as used there, but make room when memory is asked for.
+    Cached files count as used there, but the system frees them on demand.
     """
     names = (
         ("memory.max", "memory.current", "memory.stat"),

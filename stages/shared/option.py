@@ -1,4 +1,4 @@
-"""Fields of a configuration that commands offer as options: declared once, with their help."""
+"""Fields of a configuration that are options of a command, with their help."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from typing import Any, Final
 
 
 def option(default: Any, help: str, **metadata: Any) -> Any:
-    """A dataclass field with its help and, where they apply, `min`, `max`, `metavar`, `choices`,
-    `panel` and `flag`.
+    """A dataclass field with its help and optional `min`, `max`, `metavar`, `choices`, `panel` and `flag`.
 
-    `panel` is the box of the help page that lists the option; `flag` is the option's name where it is not the
-    field's; `per` says how many units of the option are one of the field, as 1000 for millimetres and metres.
-    Other metadata are those of the artifact store, such as `affects_result`.
+    `panel` is the box of the help page that lists the option. `flag` is the name of the option if it differs
+    from the name of the field. `per` is the number of option units per field unit, such as 1000 for an option
+    in millimetres and a field in metres. Other metadata belong to the artifact store, such as
+    `affects_result`.
     """
     return field(default=default, metadata={"help": help, **metadata})
 

@@ -1,4 +1,4 @@
-"""What a command would do and cost, for `--dry-run`."""
+"""The plan that `--dry-run` shows: what a command would do and cost."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from typing import Any
 class Plan:
     """Inputs, outputs, resolved configuration and estimated cost of one command.
 
-    `seconds`, `memory_bytes` and `disk_bytes` are estimates for two CPU cores; None where nothing
-    honest can be said. `scene` is what the scene requires, and what is left out and why, where a command
-    decides that: {"requires": {…}, "left_out": {name: reason}}.
+    `seconds`, `memory_bytes` and `disk_bytes` are estimates for two CPU cores, or None where no estimate
+    exists. `scene` says what the scene requires and what is left out, for commands that decide it:
+    {"requires": {…}, "left_out": {name: reason}}.
     """
 
     inputs: list[str]

@@ -10,7 +10,7 @@ from stages.shared.finite import finite, require_finite
 
 
 def matrices_from_quaternions(quaternions: Tensor) -> Tensor:
-    """Unit quaternions wxyz (..., 4) -> rotation matrices (..., 3, 3)."""
+    """Rotation matrices (..., 3, 3) of unit quaternions wxyz (..., 4)."""
     w, x, y, z = quaternions.unbind(dim=-1)
     rows = (
         1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
@@ -21,7 +21,7 @@ def matrices_from_quaternions(quaternions: Tensor) -> Tensor:
 
 
 def unit_quaternions(quaternions: Tensor) -> Tensor:
-    """Normalise (N, 4); a (nearly) zero quaternion becomes the identity, with zero gradient, never NaN."""
+    """Normalised quaternions (N, 4). One that is nearly zero becomes the identity, with zero gradient."""
     squared = quaternions.square().sum(dim=-1, keepdim=True)
     finite(squared, "unit_quaternions", quaternions=quaternions)
     usable = squared > 1e-12
@@ -31,7 +31,7 @@ def unit_quaternions(quaternions: Tensor) -> Tensor:
 
 
 def slerp(start: Tensor, end: Tensor, weights: Tensor) -> Tensor:
-    """Spherical interpolation of unit quaternions (N, 4) along the shorter arc; weights (N, 1) 0..1."""
+    """Spherical interpolation of unit quaternions (N, 4) along the shorter arc; weights (N, 1) in 0..1."""
     require_finite("slerp", start=start, end=end, weights=weights)
     cosine = (start * end).sum(dim=1, keepdim=True)
     end = torch.where(cosine < 0, -end, end)
@@ -44,7 +44,7 @@ def slerp(start: Tensor, end: Tensor, weights: Tensor) -> Tensor:
 
 
 def quaternion_from_z(normals: Tensor) -> Tensor:
-    """Unit quaternions (N, 4) wxyz that turn the z axis to `normals` (N, 3); a half turn about x for −z."""
+    """Unit quaternions (N, 4) wxyz that rotate the z axis to `normals` (N, 3). −z gives a half turn about x."""
     require_finite("quaternion_from_z", normals=normals)
     normals = functional.normalize(normals, dim=1)
     x, y, z = normals.unbind(dim=1)

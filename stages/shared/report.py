@@ -1,4 +1,4 @@
-"""How a stage tells the outside what it is doing, without knowing who listens."""
+"""Progress and messages of a running stage."""
 
 from __future__ import annotations
 
@@ -6,23 +6,23 @@ from typing import Protocol
 
 
 class Report(Protocol):
-    """Listener of a running stage; the command line prints it, tests and notebooks ignore it."""
+    """Receiver of the messages of a stage. The command line prints them; tests and notebooks ignore them."""
 
     def step(self, text: str) -> None:
-        """A new step of the recipe begins."""
+        """A new step of the stage starts."""
 
     def progress(self, done: int, total: int, **numbers: float) -> None:
-        """`done` of `total` units of the current step are finished; `numbers` are shown beside."""
+        """`done` of `total` units of the current step are finished; `numbers` are shown with it."""
 
     def say(self, text: str) -> None:
-        """A fact worth reading."""
+        """A message for the user."""
 
     def warn(self, text: str) -> None:
-        """Something the user should look at, though the stage goes on."""
+        """A warning. The stage continues."""
 
 
 class Silent:
-    """A report that nobody reads."""
+    """A report that ignores all messages."""
 
     def step(self, text: str) -> None: ...
 

@@ -1,4 +1,4 @@
-"""Where results go: a place that cannot take them is refused before anything is computed."""
+"""Checks of output paths before anything is computed."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from stages.shared.errors import UsageProblem
 
 
 def check_file_target(path: Path, example: str) -> None:
-    """Raise UsageProblem where a file cannot be written: a folder has its name, or a file that of its folder.
+    """Raise UsageProblem if a file cannot be written: its path is a folder, or its parent is a file.
 
     Arguments:
-        example: what the user could type instead, as "-o skirt.gwg".
+        example: a correct option for the message, such as "-o skirt.gwg".
     """
     if path.is_dir():
         raise UsageProblem("A folder is in the place of the file.", str(path), f"Name a file, as {example}.")
@@ -19,7 +19,7 @@ def check_file_target(path: Path, example: str) -> None:
 
 
 def check_folder_target(path: Path) -> None:
-    """Raise UsageProblem where a folder cannot be made: a file has its name, or that of one above it."""
+    """Raise UsageProblem if a folder cannot be made: its path, or one of its parents, is a file."""
     for folder in (path, *path.parents):
         if folder.is_dir():
             return

@@ -44,7 +44,10 @@ def slerp(start: Tensor, end: Tensor, weights: Tensor) -> Tensor:
 
 
 def quaternion_from_z(normals: Tensor) -> Tensor:
-    """Unit quaternions (N, 4) wxyz that rotate the z axis to `normals` (N, 3). −z gives a half turn about x."""
+    """Unit quaternions (N, 4) wxyz that rotate the z axis to `normals` (N, 3).
+
+    For −z it is a half turn about x.
+    """
     require_finite("quaternion_from_z", normals=normals)
     normals = functional.normalize(normals, dim=1)
     x, y, z = normals.unbind(dim=1)

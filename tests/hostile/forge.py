@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from stages.shared.artifacts.arrays import encode_arrays
-from stages.shared.artifacts.bundle import Bundle
+from stages.shared.artifacts.bundle import SCHEMA, Bundle
 from stages.shared.artifacts.canonical import canonical_json, digest
 
 _INFINITE = 1.25e300  # stands for a number that the canonical text cannot hold
@@ -26,8 +26,7 @@ def forged_parts(arrays: dict[str, np.ndarray], manifest: dict[str, Any]) -> byt
         array = np.ascontiguousarray(array)
         mark = f"{array.dtype.newbyteorder('<').str} {list(array.shape)} ".encode()
         tensors[name] = {"sha256": digest(mark + array.tobytes())}
-    schema = {"name": "gwg", "major": 1, "minor": 2}
-    content = {"schema": schema, **manifest, "tensors": tensors}
+    content = {"schema": SCHEMA, **manifest, "tensors": tensors}
     text = canonical_json(json.loads(json.dumps(content).replace("Infinity", str(_INFINITE))))
     text = text.replace(json.dumps(_INFINITE).encode(), b"1e400")
     return b"".join(encode_arrays(arrays, "forged", {"gwg": text.decode(), "gwg_sha256": digest(text)}))

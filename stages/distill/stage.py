@@ -22,7 +22,7 @@ from stages.distill.fit import Fit, fit_layer
 from stages.distill.samples import Samples, sample_poses
 from stages.pipeline import DISTILL
 from stages.shared.artifacts import Artifact, ExternalFiles, Workspace
-from stages.shared.artifacts.result import StageResult
+from stages.shared.artifacts.spec import StageResult
 from stages.shared.outfit.layer import WornLayer
 from stages.shared.outfit.trained_subject import TrainedSubject
 from stages.shared.plan import Plan

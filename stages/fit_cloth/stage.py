@@ -28,7 +28,7 @@ from stages.fit_cloth.outlines import MOST_FRAMES, chosen_cameras, read_outlines
 from stages.fit_cloth.tracked import tracked_garment
 from stages.pipeline import BAKE_MAPS, FIT_CLOTH, REGISTER_TEMPLATE, SEGMENT_LAYERS, TRAIN
 from stages.shared.artifacts import Artifact, ExternalFiles, Workspace
-from stages.shared.artifacts.result import StageResult
+from stages.shared.artifacts.spec import StageResult
 from stages.shared.body import BodyModel, Poses
 from stages.shared.capture.template_views import capture_files, template_take
 from stages.shared.layers import garments_of

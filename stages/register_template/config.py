@@ -52,7 +52,7 @@ class RegisterTemplateConfig:
     most_faces: int = 200_000
     fit_steps: int = FULL_FIT
     poses: str = "given"
-    hold_out: tuple[str, ...] = field(default=(), metadata={"said_if_set": True})
+    hold_out: tuple[str, ...] = field(default=(), metadata={"omit_default": True})
     picture_scale: float = option(0.0, **PICTURE_SCALE)
 
     @property

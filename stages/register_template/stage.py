@@ -30,7 +30,7 @@ from stages.register_template.lone_mesh import register_mesh
 from stages.register_template.sources import Registration, Source, SourceFiles, open_source
 from stages.register_template.virtual_capture import takes_with_scans, virtual_capture
 from stages.shared.artifacts import Build, StageResult, Workspace
-from stages.shared.artifacts.canonical import plain
+from stages.shared.artifacts.canonical import to_json
 from stages.shared.capture.subject import remember_capture
 from stages.shared.meshes.picture import two_sided_picture
 from stages.shared.plan import Plan
@@ -83,7 +83,7 @@ def run(
         files = SourceFiles(rendered, body_model, params, "native")
     source = open_source(files, config)
     check_folder_target(subject)
-    settings = plain(config) | {"body": source.body.digest}
+    settings = to_json(config) | {"body": source.body.digest}
     if result := workspace.reuse(REGISTER_TEMPLATE, settings, source.inputs, report, force):
         artifact = result.artifact
     else:

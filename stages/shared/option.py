@@ -22,5 +22,5 @@ PICTURE_SCALE: Final[dict[str, Any]] = {
     "covers two to three pixels, and pictures up to 512 pixels keep their size.",
     "min": 0,
     "max": 1,
-    "said_if_set": True,
+    "omit_default": True,
 }

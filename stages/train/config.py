@@ -81,12 +81,12 @@ class TrackConfig:
     stretch: float = 0.5
     inertia: float = 0.3
     collision: float = 0.0
-    labels: bool = field(default=True, metadata={"said_if_set": True})
+    labels: bool = field(default=True, metadata={"omit_default": True})
     scale: float = option(
         0.0,
         "Size of the pictures that warm-up and tracking see, 1 is full size; 0: so that a texel covers two "
         "to three pixels.",
-        flag="--track-scale", min=0, max=1, said_if_set=True,
+        flag="--track-scale", min=0, max=1, omit_default=True,
     )  # fmt: skip
 
 
@@ -136,7 +136,7 @@ class TrainConfig:
         0,
         "Each step sees a crop of PX x PX of every image at full resolution, drawn where the person and the "
         "edges of garments are; 0 for whole images. For large images.",
-        min=0, metavar="PX", said_if_set=True,
+        min=0, metavar="PX", omit_default=True,
     )  # fmt: skip
     flow_until: float = 0.6
     stage_two: float = 0.2
@@ -144,7 +144,7 @@ class TrainConfig:
     clip: float = 1.0
     label_kind: str = "l1"
     penetration_margin: float = 0.005
-    penetration_every: int = field(default=1, metadata={"said_if_set": True})
+    penetration_every: int = field(default=1, metadata={"omit_default": True})
     perceptual_side: int = 512
     perceptual_digest: str = ""
     weights: LossWeights = field(default_factory=LossWeights)
@@ -157,11 +157,11 @@ class TrainConfig:
         "clothing layer on its surface; an approximation).",
     )
     without: tuple[str, ...] = option((), "Ablation: parts to leave out.", metavar="PARTS")
-    takes: tuple[str, ...] = field(default=(), metadata={"said_if_set": True})
+    takes: tuple[str, ...] = field(default=(), metadata={"omit_default": True})
     from_layers: tuple[str, ...] = option(
         (),
         "With --from-subject: only these layers; body alone where another shirt is worn under the garment.",
-        metavar="LAYERS", said_if_set=True,
+        metavar="LAYERS", omit_default=True,
     )  # fmt: skip
     recompute: bool = option(
         False,

@@ -27,7 +27,7 @@ from stages.pipeline import TRAIN
 from stages.shared.artifacts import Artifact, Progress, Workspace, require_room
 from stages.shared.artifacts.build import Build
 from stages.shared.artifacts.external import file_digest
-from stages.shared.artifacts.result import StageResult
+from stages.shared.artifacts.spec import StageResult
 from stages.shared.avatar.decoders.base import Decoder
 from stages.shared.avatar.decoders.cost import costs
 from stages.shared.avatar.decoders.registry import new_decoder

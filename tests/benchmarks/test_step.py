@@ -10,7 +10,7 @@ import pytest
 import torch
 from typer.testing import CliRunner
 
-from stages.shared.artifacts.canonical import plain
+from stages.shared.artifacts.canonical import to_json
 from stages.shared.errors import UsageProblem
 from stages.train.stage import prepare
 from tests.benchmarks import step as timing
@@ -61,7 +61,7 @@ def test_gradients_alone_leave_everything_as_it_is(subject: Path) -> None:
     assert report.finite and report.gradient_norm > 0
     assert all(torch.equal(before[name], value) for name, value in trainer.parameters.items())
     assert not trainer.optimizer.state
-    assert plain(tiny(recompute=True)) == plain(tiny()), "the result is the same, and so is its name"
+    assert to_json(tiny(recompute=True)) == to_json(tiny()), "the result is the same, and so is its name"
 
 
 def test_no_steps_are_refused(subject: Path) -> None:

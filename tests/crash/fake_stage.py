@@ -131,8 +131,7 @@ def prepare(workspace: Workspace, capture: Path, config: Config, force: bool = F
         with workspace.build(PREPARE, config, inputs, force=force) as build:
             build.write_arrays("template", {"vertices": random.random((config.size, 3), np.float32)})
             build.write_picture("overlay.png", np.zeros((8, 8, 3), np.uint8))
-            (build.path / "film.mp4").write_bytes(b"film" * 100)
-            build.adopt("film.mp4")
+            build.write_bytes("film.mp4", b"film" * 100)
             build.summary(vertices=config.size)
         artifact = build.artifact
     workspace.publish(artifact, "overlay.png", "overlay.png")

@@ -5,8 +5,7 @@ from stages.shared.artifacts.build import Build
 from stages.shared.artifacts.external import ExternalFiles
 from stages.shared.artifacts.files import require_room, whole_folder, write_whole
 from stages.shared.artifacts.progress import Progress
-from stages.shared.artifacts.result import StageResult
-from stages.shared.artifacts.spec import StageSpec
+from stages.shared.artifacts.spec import StageResult, StageSpec
 from stages.shared.artifacts.workspace import Inputs, Workspace
 
 __all__ = [

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import platform
-import secrets
 import sys
 import time
 from collections.abc import Mapping
@@ -17,11 +16,10 @@ import numpy as np
 from stages.shared.artifacts import lock
 from stages.shared.artifacts.arrays import describe_arrays, encode_arrays
 from stages.shared.artifacts.artifact import Artifact
-from stages.shared.artifacts.canonical import plain, readable_json, seal
+from stages.shared.artifacts.canonical import readable_json, seal, to_json
 from stages.shared.artifacts.external import ExternalFiles, complete_folders, file_digest
 from stages.shared.artifacts.files import (
     Chunks,
-    flush_file,
     flush_folder,
     make_folders,
     make_read_only,
@@ -29,6 +27,7 @@ from stages.shared.artifacts.files import (
     replace_folder,
     write_file,
 )
+from stages.shared.artifacts.leftovers import acquire_writer, backup_path, progress_path, temporary_path
 from stages.shared.artifacts.manifest import (
     MANIFEST_NAME,
     RUN_NAME,
@@ -44,7 +43,6 @@ from stages.shared.errors import BadData
 if TYPE_CHECKING:
     from stages.shared.artifacts.workspace import Workspace
 
-TEMPORARY = ".tmp-"
 _last_finished = time.monotonic()
 _LIBRARIES = ("numpy", "torch", "scipy", "open3d", "igl", "trimesh", "cv2", "numba", "roma", "av")
 
@@ -53,7 +51,7 @@ class Build:
     """Context manager: write files, leave the block, and `artifact` is there; or an error, and nothing is.
 
     Attributes:
-        path: the hidden folder, for libraries that write files themselves (then call `adopt`).
+        path: the hidden folder that is being filled.
         artifact: the finished artifact, after the block.
     """
 
@@ -68,10 +66,10 @@ class Build:
         self._workspace = workspace
         self._inputs = inputs
         self._force = force
-        self._manifest = Manifest(spec.name, spec.schema, spec.code_version, plain(config))
+        self._manifest = Manifest(spec.name, spec.schema, spec.code_version, to_json(config))
         self._measured: dict[str, Any] = {}
         self._records: dict[str, FileEntry] = {}
-        self.path = workspace.root / f".{spec.name}{TEMPORARY}{secrets.token_hex(6)}"
+        self.path = temporary_path(workspace.root, spec.name)
         self.artifact: Artifact
 
     @property
@@ -118,29 +116,18 @@ class Build:
         It is kept and verified like the others, but it is not part of what names the artifact: two runs with
         the same result have the same digest.
         """
-        self._check_name(name)
-        make_folders((self.path / name).parent)
-        write_file(self.path / name, data)
-        path = self.path / name
-        self._records[name] = FileEntry(path.stat().st_size, file_digest(path))
-
-    def adopt(self, path: Path | str) -> None:
-        """Take in a file that another library wrote below `self.path`."""
-        name = (self.path / path).relative_to(self.path).as_posix()
-        self._check_name(name)
-        flush_file(self.path / name)
-        self._enter(name)
+        self._records[name] = self._put(name, data)
 
     def summary(self, **numbers: Any) -> None:
         """A few numbers to judge the artifact by. They are part of its content: no times, no machine."""
-        self._manifest.summary.update(plain(numbers))
+        self._manifest.summary.update(to_json(numbers))
 
     def measured(self, **numbers: Any) -> None:
         """Numbers about this run that differ between runs (times, memory); kept beside the content."""
-        self._measured.update(plain(numbers))
+        self._measured.update(to_json(numbers))
 
     def __enter__(self) -> Build:
-        lock.acquire(self._workspace.root, self._workspace.clear_leftovers)
+        acquire_writer(self._workspace.root)
         try:
             make_folders(self.path)
             self._started = time.monotonic()
@@ -181,15 +168,16 @@ class Build:
         for folder in sorted((path for path in self.path.rglob("*") if path.is_dir()), reverse=True):
             flush_folder(folder)
         flush_folder(self.path)
-        final = self._workspace.root / self._manifest.stage / self._manifest.key
+        root, stage, key = self._workspace.root, self._manifest.stage, self._manifest.key
+        final = root / stage / key
         make_folders(final.parent)
         if not self._force and self._is_there(final):
             remove_folder(self.path)
         else:
-            replace_folder(self.path, final, self._workspace.aside(self._manifest.stage, self.key))
+            replace_folder(self.path, final, backup_path(root, stage, key))
         self.artifact = Artifact(final)
-        self._workspace.point_at(self.artifact)
-        self._workspace.drop_progress(self._manifest.stage, self._manifest.key)
+        self._workspace.set_current(self.artifact)
+        remove_folder(progress_path(root, stage, key))
 
     def _is_there(self, final: Path) -> bool:
         """Whether the same content already stands, whole, under the final name."""
@@ -204,25 +192,23 @@ class Build:
             return False
 
     def _refuse_strays(self) -> None:
-        found = {path.relative_to(self.path).as_posix() for path in self.path.rglob("*") if not path.is_dir()}
-        strays = sorted(found - set(self._manifest.files) - set(self._records))
+        names = {path.relative_to(self.path).as_posix() for path in self.path.rglob("*") if not path.is_dir()}
+        strays = sorted(names - set(self._manifest.files) - set(self._records))
         if strays:
-            raise ValueError(f"{self._manifest.stage}: {strays[0]} was written but not adopted")
+            raise ValueError(f"{self._manifest.stage}: {strays[0]} was not written through the build")
 
     def _write(self, name: str, data: Chunks) -> None:
-        self._check_name(name)
-        make_folders((self.path / name).parent)
-        write_file(self.path / name, data)
-        self._enter(name)
+        self._manifest.files[name] = self._put(name, data)
 
-    def _enter(self, name: str) -> None:
-        path = self.path / name
-        self._manifest.files[name] = FileEntry(path.stat().st_size, file_digest(path))
-
-    def _check_name(self, name: str) -> None:
+    def _put(self, name: str, data: Chunks) -> FileEntry:
+        """Write a file into the hidden folder; its size and digest."""
         taken = {MANIFEST_NAME, RUN_NAME, *self._manifest.files, *self._records}
         if not is_plain_name(name) or name in taken:
             raise ValueError(f"{name!r} cannot be the name of a file of an artifact, or is one already")
+        path = self.path / name
+        make_folders(path.parent)
+        write_file(path, data)
+        return FileEntry(path.stat().st_size, file_digest(path))
 
     def _run(self) -> dict[str, Any]:
         return {
@@ -234,7 +220,7 @@ class Build:
             "python": platform.python_version(),
             "system": f"{platform.system()} {platform.machine()}",
             "libraries": _library_versions(),
-            "records": plain(self._records),
+            "records": to_json(self._records),
             **self._measured,
         }
 

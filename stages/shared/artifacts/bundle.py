@@ -21,7 +21,7 @@ import numpy as np
 
 from stages.shared.artifacts.arrays import Arrays, decode_arrays, encode_arrays
 from stages.shared.artifacts.bundle_content import check_arrays, check_layout, check_manifest
-from stages.shared.artifacts.canonical import canonical_json, digest, plain, strict_json
+from stages.shared.artifacts.canonical import canonical_json, digest, strict_json, to_json
 from stages.shared.artifacts.files import write_whole
 from stages.shared.errors import BadData, MissingInput, StorageFailure
 
@@ -79,7 +79,7 @@ def encode_bundle(bundle: Bundle, where: str = "bundle") -> list[memoryview]:
     """
     arrays = {name: np.ascontiguousarray(array) for name, array in bundle.arrays.items()}
     tensors = {name: {"sha256": _array_digest(array)} for name, array in arrays.items()}
-    manifest = plain({**bundle.manifest, "schema": SCHEMA, "tensors": tensors})
+    manifest = to_json({**bundle.manifest, "schema": SCHEMA, "tensors": tensors})
     _check_plain(manifest, where)
     check_manifest(manifest, where)
     check_arrays(manifest, arrays, where)

@@ -18,22 +18,22 @@ from stages.shared.input_files import strict_json
 KEY_LENGTH = 32  # hex characters; 128 bits name a folder without paths growing too long
 
 
-def plain(value: Any) -> Any:
-    """A value as JSON types only: dataclasses become objects, tuples lists, numpy values numbers.
+def to_json(value: Any) -> Any:
+    """A value as JSON types: dataclasses become objects, tuples lists, numpy values numbers.
 
     Dataclass fields marked `field(metadata={"affects_result": False})` (a device, a thread count) are left
-    out: they change how fast a result comes, not what it is. Those marked `{"said_if_set": True}` (an option
-    that came later) are left out while they have their default: earlier results keep their names.
+    out: they change how fast a result comes, not what it is. Fields marked `{"omit_default": True}` (an
+    option that was added later) are left out while they have their default, so earlier results keep their
+    keys.
 
     Raises:
         ValueError: a number that is not finite.
-        TypeError: anything else JSON has no word for; also paths, which do not belong into artifacts (give
-            the files as inputs).
+        TypeError: any other type; also a path, because artifacts do not name places (give files as inputs).
     """
     if value is None or isinstance(value, bool | str):
         return value
     if isinstance(value, np.generic | np.ndarray):
-        return plain(value.tolist())
+        return to_json(value.tolist())
     if isinstance(value, int):
         return int(value)
     if isinstance(value, float):
@@ -41,38 +41,38 @@ def plain(value: Any) -> Any:
             raise ValueError(f"{value} is not a finite number")
         return float(value)
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {field.name: plain(getattr(value, field.name)) for field in _told(value)}
+        return {field.name: to_json(getattr(value, field.name)) for field in _hashed_fields(value)}
     if isinstance(value, Mapping):
-        return {str(name): plain(item) for name, item in value.items()}
+        return {str(name): to_json(item) for name, item in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
+        return [to_json(item) for item in value]
     if isinstance(value, set | frozenset):
-        return sorted(plain(item) for item in value)
+        return sorted(to_json(item) for item in value)
     if isinstance(value, Path):
         raise TypeError(f"{value} is a path; give files as inputs, not as configuration")
     raise TypeError(f"{type(value).__name__} is not JSON")
 
 
-def _told(value: Any) -> list[dataclasses.Field[Any]]:
-    """The fields of a dataclass instance that its plain form has."""
+def _hashed_fields(value: Any) -> list[dataclasses.Field[Any]]:
+    """The fields of a dataclass instance that take part in keys and records."""
     return [
         field
         for field in dataclasses.fields(value)
         if field.metadata.get("affects_result", True)
-        and not (field.metadata.get("said_if_set") and getattr(value, field.name) == field.default)
+        and not (field.metadata.get("omit_default") and getattr(value, field.name) == field.default)
     ]
 
 
 def canonical_json(value: Any) -> bytes:
     """The one text of a value: sorted names, no spaces, UTF-8."""
     return json.dumps(
-        plain(value), sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False
+        to_json(value), sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False
     ).encode()
 
 
 def readable_json(value: Any) -> bytes:
     """As canonical, but with line breaks, for files people open."""
-    text = json.dumps(plain(value), sort_keys=True, indent=1, ensure_ascii=False, allow_nan=False)
+    text = json.dumps(to_json(value), sort_keys=True, indent=1, ensure_ascii=False, allow_nan=False)
     return text.encode() + b"\n"
 
 

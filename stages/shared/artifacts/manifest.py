@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from stages.shared.artifacts.canonical import artifact_key, canonical_json, digest, plain, seal, unseal
+from stages.shared.artifacts.canonical import artifact_key, canonical_json, digest, seal, to_json, unseal
 from stages.shared.errors import BadData
 
 MANIFEST_NAME = "manifest.json"
@@ -64,7 +64,7 @@ class Manifest:
         return seal(self._value())
 
     def _value(self) -> dict[str, Any]:
-        value: dict[str, Any] = plain(self)
+        value: dict[str, Any] = to_json(self)
         value["store"] = STORE_MAJOR
         value["inputs"] = {
             name: {part: text for part, text in entry.items() if text is not None}

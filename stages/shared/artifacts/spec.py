@@ -1,8 +1,11 @@
-"""What the artifact store needs to know about a stage."""
+"""What the artifact store knows about a stage, and what a stage returns."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
+
+from stages.shared.artifacts.artifact import Artifact
 
 
 @dataclass(frozen=True)
@@ -22,3 +25,11 @@ class StageSpec:
     reads: tuple[str, ...]
     schema: str = "1.0"
     code_version: int = 1
+
+
+@dataclass(frozen=True)
+class StageResult:
+    """The finished artifact and a few numbers to judge it by."""
+
+    artifact: Artifact
+    summary: dict[str, Any]

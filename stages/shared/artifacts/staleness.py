@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from stages.shared.artifacts.artifact import Artifact
-from stages.shared.artifacts.canonical import plain
+from stages.shared.artifacts.canonical import to_json
 from stages.shared.artifacts.external import DigestCache, changes, newcomers
 from stages.shared.artifacts.manifest import InputEntry
 from stages.shared.artifacts.spec import StageSpec
@@ -85,7 +85,7 @@ def _own_reasons(artifact: Artifact, spec: StageSpec, config: Any) -> list[str]:
     if manifest.schema != spec.schema:
         reasons.append(f"schema {manifest.schema} -> {spec.schema}")
     if config is not None:
-        reasons += [f"config: {change}" for change in config_changes(manifest.config, plain(config))]
+        reasons += [f"config: {change}" for change in config_changes(manifest.config, to_json(config))]
     return reasons
 
 

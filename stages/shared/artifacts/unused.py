@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import secrets
 from dataclasses import dataclass
 from pathlib import Path
 
 from stages.shared.artifacts.artifact import Artifact
-from stages.shared.artifacts.build import TEMPORARY
 from stages.shared.artifacts.canonical import unseal
 from stages.shared.artifacts.files import remove_folder, rename
+from stages.shared.artifacts.leftovers import temporary_path
 from stages.shared.artifacts.workspace import CURRENT_NAME, Workspace
 from stages.shared.errors import MissingInput
 
@@ -31,21 +30,21 @@ def unused(workspace: Workspace) -> list[Unused]:
     """
     if not workspace.root.is_dir():
         raise MissingInput("There is no such subject.", str(workspace.root), "Give the folder of a subject.")
-    wanted = _in_use(workspace)
-    waiting = sorted(wanted)
+    needed = _in_use(workspace)
+    waiting = sorted(needed)
     while waiting:
         folder = workspace.root / waiting.pop()
         if not folder.is_dir():
             continue
         for entry in Artifact(folder).manifest.inputs.values():
             name = f"{entry.stage}/{entry.key}"
-            if entry.stage is not None and name not in wanted:
-                wanted.add(name)
+            if entry.stage is not None and name not in needed:
+                needed.add(name)
                 waiting.append(name)
     return [
         Unused(folder, sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()))
         for folder in workspace.artifacts()
-        if f"{folder.parent.name}/{folder.name}" not in wanted
+        if f"{folder.parent.name}/{folder.name}" not in needed
     ]
 
 
@@ -57,13 +56,13 @@ def remove_unused(workspace: Workspace) -> list[Unused]:
     """
     unused(workspace)  # refuses a folder that is no workspace before a lock is made in it
     with workspace.writing():
-        found = unused(workspace)
-        for artifact in found:
-            # Out of sight first: what has an artifact's name is always whole.
-            hidden = workspace.root / f".{artifact.path.parent.name}{TEMPORARY}{secrets.token_hex(6)}"
+        artifacts = unused(workspace)
+        for artifact in artifacts:
+            # Renamed first: what has an artifact's name is always whole.
+            hidden = temporary_path(workspace.root, artifact.path.parent.name)
             rename(artifact.path, hidden)
             remove_folder(hidden)
-    return found
+    return artifacts
 
 
 def _in_use(workspace: Workspace) -> set[str]:

@@ -11,29 +11,27 @@ from typing import Any
 
 from stages.shared.artifacts import lock
 from stages.shared.artifacts.artifact import Artifact
-from stages.shared.artifacts.build import TEMPORARY, Build
+from stages.shared.artifacts.build import Build
 from stages.shared.artifacts.canonical import (
     KEY_LENGTH,
     artifact_key,
-    plain,
     readable_json,
     seal,
     strict_json,
+    to_json,
     unseal,
 )
 from stages.shared.artifacts.external import DigestCache, ExternalFiles, listing_digest
-from stages.shared.artifacts.files import make_folders, remove_folder, rename, write_whole
+from stages.shared.artifacts.files import make_folders, remove_folder, write_whole
+from stages.shared.artifacts.leftovers import acquire_writer, progress_path, writing
 from stages.shared.artifacts.manifest import InputEntry, is_plain_name
 from stages.shared.artifacts.progress import Progress
-from stages.shared.artifacts.result import StageResult
-from stages.shared.artifacts.spec import StageSpec
+from stages.shared.artifacts.spec import StageResult, StageSpec
 from stages.shared.errors import BadData, Locked, MissingInput, StorageFailure
 from stages.shared.report import Report
 
 SETTINGS_NAME = "subject.json"
 CURRENT_NAME = "current.json"
-_PROGRESS = ".progress-"
-_ASIDE = f"{TEMPORARY}old-"
 _KEY = re.compile(rf"[0-9a-f]{{{KEY_LENGTH}}}")
 Inputs = Mapping[str, Artifact | ExternalFiles]
 
@@ -102,19 +100,19 @@ class Workspace:
         try:
             artifact = Artifact(folder)
         except BadData:
-            return None  # made anew by the caller, and then replaced
+            return None  # the caller makes it again and replaces it
         damaged = artifact.damaged_files(cache)
         with contextlib.suppress(StorageFailure):  # looking works on a read-only disk too
             cache.save()
         if damaged:
             return None
-        if not self._points_at(artifact):
+        if not self._is_current(artifact):
             with self.writing():
-                self.point_at(artifact)
-        elif self._progress_folder(spec.name, key).exists():
-            # A kill came between the end of the work and its tidying; a busy workspace is tidied later.
+                self.set_current(artifact)
+        elif progress_path(self.root, spec.name, key).exists():
+            # A kill came between the end of the work and its clean-up; a busy workspace is cleaned up later.
             with contextlib.suppress(Locked), self.writing():
-                self.drop_progress(spec.name, key)
+                remove_folder(progress_path(self.root, spec.name, key))
         return artifact
 
     def reuse(
@@ -153,9 +151,10 @@ class Workspace:
         Raises:
             Locked: another process writes to this workspace.
         """
-        lock.acquire(self.root, self.clear_leftovers)
+        acquire_writer(self.root)
         try:
-            folder = self._progress_folder(spec.name, self._key(spec, config, inputs, DigestCache(self.root)))
+            key = self._key(spec, config, inputs, DigestCache(self.root))
+            folder = progress_path(self.root, spec.name, key)
             if force:
                 remove_folder(folder)
             make_folders(folder)
@@ -179,7 +178,7 @@ class Workspace:
                 raise ValueError("not an object")
         except ValueError as error:
             raise BadData(
-                f"The subject's settings cannot be read: {error}.", str(path), "Mend it, or register again."
+                f"The subject's settings cannot be read: {error}.", str(path), "Repair it, or register again."
             ) from error
         return value
 
@@ -190,7 +189,7 @@ class Workspace:
             Locked: another process writes to this workspace.
         """
         texts = {name: self.relative(value) for name, value in values.items() if isinstance(value, Path)}
-        values = plain(values | texts)
+        values = to_json(values | texts)
         settings = self.settings()
         if settings | values == settings and (self.root / SETTINGS_NAME).exists():
             return
@@ -252,47 +251,20 @@ class Workspace:
 
     def writing(self) -> contextlib.AbstractContextManager[None]:
         """Be the writer inside the block. Raises Locked when another process is."""
-        return lock.holding(self.root, self.clear_leftovers)
+        return writing(self.root)
 
     def artifacts(self) -> list[Path]:
         """Folders of all finished artifacts, in use or not."""
         return sorted(folder for folder in self.root.glob("*/*/") if _KEY.fullmatch(folder.name))
 
-    def point_at(self, artifact: Artifact) -> None:
+    def set_current(self, artifact: Artifact) -> None:
         """Put an artifact in use. The caller holds the lock."""
-        if not self._points_at(artifact):
+        if not self._is_current(artifact):
             write_whole(self.root / artifact.stage / CURRENT_NAME, seal({"key": artifact.key}))
 
-    def _points_at(self, artifact: Artifact) -> bool:
+    def _is_current(self, artifact: Artifact) -> bool:
         pointer = self.root / artifact.stage / CURRENT_NAME
         return pointer.exists() and pointer.read_bytes() == seal({"key": artifact.key})
-
-    def drop_progress(self, stage: str, key: str) -> None:
-        """Remove unfinished work whose artifact is finished. The caller holds the lock."""
-        remove_folder(self._progress_folder(stage, key))
-
-    def _progress_folder(self, stage: str, key: str) -> Path:
-        return self.root / f".{stage}{_PROGRESS}{key}"
-
-    def aside(self, stage: str, key: str) -> Path:
-        """Where an artifact stands for the moment in which another takes its place."""
-        return self.root / f".{stage}{_ASIDE}{key}"
-
-    def clear_leftovers(self) -> None:
-        """Remove what killed processes left behind. The caller holds the lock, so none of it is in use."""
-        for aside in self.root.glob(f".*{_ASIDE}*"):
-            stage, key = aside.name[1:].split(_ASIDE)
-            if not (self.root / stage / key).exists():
-                rename(aside, self.root / stage / key)
-        for left in [*self.root.glob(f".*{TEMPORARY}*"), *self.root.glob(f"*/.*{TEMPORARY}*")]:
-            if left.is_dir() and not left.is_symlink():
-                remove_folder(left)
-            else:
-                left.unlink(missing_ok=True)
-        for progress in self.root.glob(f".*{_PROGRESS}*"):
-            stage, key = progress.name[1:].split(_PROGRESS)
-            if (self.root / stage / key / "manifest.json").exists():
-                remove_folder(progress)
 
     def register_inputs(self, inputs: Inputs) -> tuple[dict[str, InputEntry], dict[str, dict[str, str]]]:
         """Digest all inputs of a build and remember where the external ones are. The caller holds the lock.

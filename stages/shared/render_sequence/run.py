@@ -18,7 +18,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from stages.shared.artifacts.canonical import plain, readable_json
+from stages.shared.artifacts.canonical import readable_json, to_json
 from stages.shared.artifacts.files import write_whole
 from stages.shared.errors import UsageProblem
 from stages.shared.export.splats import check_formats, up_of
@@ -198,7 +198,7 @@ def _result(
         "passes": list(outputs.passes),
         "exports": list(outputs.exports),
         "camera_folders": outputs.camera_folders,
-        "config": plain(config),
+        "config": to_json(config),
         **summary,
     }
 

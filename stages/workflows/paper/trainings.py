@@ -11,7 +11,7 @@ from stages.evaluate import stage
 from stages.evaluate.config import EvaluateInputs
 from stages.pipeline import BAKE_MAPS, TRAIN
 from stages.shared.artifacts import Artifact, Workspace
-from stages.shared.artifacts.canonical import plain
+from stages.shared.artifacts.canonical import to_json
 from stages.shared.artifacts.external import file_digest
 from stages.shared.errors import MissingInput
 from stages.shared.report import Report
@@ -50,7 +50,7 @@ def training_like(workspace: Workspace, config: Any) -> Artifact | None:
     Method, parts left out, minutes, steps and seed must be equal. Of several such trainings, the one with
     most settings in common is returned; None without a configuration or a training.
     """
-    asked = {} if config is None else plain(config)
+    asked = {} if config is None else to_json(config)
     telling = ("method", "without", "minutes", "steps", "seed")
 
     def alike(artifact: Artifact) -> int:
@@ -100,6 +100,6 @@ def _evaluated(place: Path, config: Any, weights: Path | None) -> dict[str, Any]
         content = json.loads((place / "evaluation.json").read_bytes())
     except (OSError, ValueError):
         return None
-    same = content.get("config") == plain(config)
+    same = content.get("config") == to_json(config)
     same = same and content.get("perceptual_digest") == (file_digest(weights) if weights else None)
     return content if same else None

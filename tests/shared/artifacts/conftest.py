@@ -64,9 +64,7 @@ def make_first(
         )
         build.write_json("report", {"share_inside": np.float32(0.5), "cameras": ("a", "b")})
         build.write_picture("overlay.png", np.arange(60, dtype=np.uint8).reshape(4, 5, 3))
-        (build.path / "previews").mkdir()
-        (build.path / "previews" / "film.mp4").write_bytes(b"film")
-        build.adopt("previews/film.mp4")
+        build.write_bytes("previews/film.mp4", b"film")
         build.summary(vertices=4, sizes=config.sizes)
         build.measured(frames_per_second=3.5)
     return build.artifact

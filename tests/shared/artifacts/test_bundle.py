@@ -9,7 +9,7 @@ import pytest
 from safetensors import safe_open
 
 from stages.shared.artifacts.bundle import Bundle, encode_bundle, read_bundle, verify_bundle, write_bundle
-from stages.shared.artifacts.canonical import plain
+from stages.shared.artifacts.canonical import to_json
 from stages.shared.errors import BadData, MissingInput
 from tests.shared.outfit.wardrobe import bundle, worn
 
@@ -29,7 +29,7 @@ def test_round_trip_is_exact_and_repeatable(tmp_path: Path, garment: Bundle) -> 
     for name, array in garment.arrays.items():
         assert np.array_equal(found.arrays[name], array) and found.arrays[name].dtype == array.dtype
     for name, value in garment.manifest.items():
-        assert found.manifest[name] == plain(value)
+        assert found.manifest[name] == to_json(value)
 
 
 def test_order_of_arrays_does_not_matter(garment: Bundle) -> None:

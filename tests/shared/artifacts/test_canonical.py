@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stages.shared.artifacts.canonical import artifact_key, canonical_json, plain, seal, strict_json, unseal
+from stages.shared.artifacts.canonical import artifact_key, canonical_json, seal, strict_json, to_json, unseal
 from stages.shared.errors import BadData
 
 
@@ -32,7 +32,7 @@ class Sample:
 class Later(Sample):
     """The same sample after an option was added."""
 
-    added: tuple[str, ...] = field(default=(), metadata={"said_if_set": True})
+    added: tuple[str, ...] = field(default=(), metadata={"omit_default": True})
 
 
 BASE: dict[str, Any] = {
@@ -97,13 +97,13 @@ def test_text_is_the_same_for_the_same_value() -> None:
 @pytest.mark.parametrize("value", [float("nan"), np.float32("inf"), [1.0, -float("inf")]])
 def test_numbers_that_are_not_finite_have_no_text(value: Any) -> None:
     with pytest.raises(ValueError, match="not a finite number"):
-        plain(value)
+        to_json(value)
 
 
 @pytest.mark.parametrize("value", [Path("/somewhere"), object(), b"bytes"])
 def test_paths_and_objects_have_no_text(value: Any) -> None:
     with pytest.raises(TypeError):
-        plain({"inner": value})
+        to_json({"inner": value})
 
 
 @pytest.mark.parametrize("text", [b"NaN", b'{"a":1,"a":2}', b"[Infinity]", b"{", b"\xff"])

@@ -141,7 +141,9 @@ def test_an_error_inside_leaves_nothing(
     make_first(workspace, capture)
 
 
-def test_a_file_nobody_adopted_is_refused(workspace: Workspace, capture: Path) -> None:
+def test_a_file_that_was_not_written_through_the_build_is_refused(
+    workspace: Workspace, capture: Path
+) -> None:
     with (
         pytest.raises(ValueError, match="stray"),
         workspace.build(FIRST, Config(), {"capture/poses": poses(capture)}) as build,

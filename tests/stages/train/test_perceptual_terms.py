@@ -9,7 +9,7 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from stages.shared.artifacts.result import StageResult
+from stages.shared.artifacts.spec import StageResult
 from stages.shared.errors import MissingInput
 from stages.shared.losses import perceptual
 from stages.train import schedule, stage, trainer

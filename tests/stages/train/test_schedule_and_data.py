@@ -114,6 +114,6 @@ def test_outline_of_a_square_is_exact() -> None:
 
 
 def test_tiny_configuration_names_its_result_without_the_device() -> None:
-    from stages.shared.artifacts.canonical import plain
+    from stages.shared.artifacts.canonical import to_json
 
-    assert plain(tiny(device="cpu")) == plain(tiny(device="cuda"))
+    assert to_json(tiny(device="cpu")) == to_json(tiny(device="cuda"))

@@ -16,7 +16,7 @@ import torch
 
 from stages.pipeline import BAKE_MAPS, TRAIN
 from stages.shared.artifacts import Workspace
-from stages.shared.artifacts.result import StageResult
+from stages.shared.artifacts.spec import StageResult
 from stages.shared.avatar.compose import compose
 from stages.shared.avatar.config import PAPER_MODEL
 from stages.shared.avatar.decoders.styleunet import StyleUNetDecoder

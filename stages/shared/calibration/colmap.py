@@ -8,10 +8,12 @@ from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
 import numpy as np
+import torch
 
-from stages.shared.calibration.model import Calibration, LensCamera, Matrix, lens_camera, pose_from
+from stages.shared.calibration.model import Calibration, LensCamera, lens_camera, pose_from
 from stages.shared.errors import BadData
 from stages.shared.input_files import read_input, read_text
+from stages.shared.quaternions import matrices_from_quaternions
 
 # Name, and what its parameters are, by COLMAP's number of the model.
 _MODELS: tuple[tuple[str, str], ...] = (
@@ -92,21 +94,11 @@ def _camera(
     order = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
     distortion = [value.get(key, 0.0) for key in order[: 4 if "k3" not in value else 8]]
     intrinsics: list[list[float]] = [[fx, 0, value["cx"]], [0, fy, value["cy"]], [0, 0, 1]]
-    pose = pose_from(_rotation(np.array(quaternion)), translation)
+    unit = torch.tensor(quaternion, dtype=torch.float64)
+    rotation = matrices_from_quaternions(unit / unit.norm()).numpy()
+    pose = pose_from(rotation, translation)
     return lens_camera(
         name, size, intrinsics, pose, where, distortion, fisheye=fisheye, centres_at_integers=False
-    )
-
-
-def _rotation(quaternion: Matrix) -> Matrix:
-    """(3, 3) of a quaternion wxyz."""
-    w, x, y, z = quaternion / np.linalg.norm(quaternion)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
     )
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from stages.register_template.config import RegisterTemplateConfig
 from stages.register_template.fitting.fit_scan import fit_scan
-from stages.register_template.fitting.starts import UP_AXES
+from stages.register_template.fitting.initial_guesses import UP_AXES
 from stages.register_template.people import two_people
 from stages.register_template.scan_cleaning import clean_scan
 from stages.register_template.sources import Registration, Source

@@ -117,7 +117,7 @@ class Bones:
         blended = (points.weights @ self.turned.reshape(JOINT_COUNT, 9)).reshape(-1, 3, 3)
         return np.matmul(blended, rest[..., None])[..., 0] + points.weights @ self.moved
 
-    def rows(self, points: SurfacePoints, gradients: Doubles, joints: NDArray[np.intp]) -> Singles:
+    def jacobian(self, points: SurfacePoints, gradients: Doubles, joints: NDArray[np.intp]) -> Singles:
         """(K, 3 + 3 J' + 10) derivative of gradients · position: translation, turns of `joints`, shape.
 
         Arguments:

@@ -1,4 +1,4 @@
-"""Masks of one frame as a fit sees them: signed distances, and contour points with their outward normals."""
+"""Masks of one frame for a fit: signed distances, and contour points with their outward normals."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class View:
         distance: (H, W) f32 pixels to the edge of the mask, positive inside.
         slope: (H, W, 2) f32 its derivative along x and y.
         contour: (M, 2) pixels on the edge. normals: (M, 2) pointing out of the mask.
-        bound: (M,) 0 to 1 how far the edge is bare skin, from label images; None without.
+        contact: (M,) 1 where the edge is bare skin, down to 0 for loose cloth; None without label images.
     """
 
     camera: Camera
@@ -38,7 +38,7 @@ class View:
     slope: NDArray[np.float32]
     contour: Doubles
     normals: Doubles
-    bound: Doubles | None
+    contact: Doubles | None
 
 
 def views_of(take: Take, frame: int, contour_points: int = 400) -> list[View]:
@@ -86,12 +86,12 @@ def _view(take: Take, name: str, frame: int, count: int) -> View | None:
         slope.astype(np.float32),
         pixels + 0.5 + 0.5 * outward,
         outward,
-        _bound(take, name, frame, pixels, factor),
+        _contact(take, name, frame, pixels, factor),
     )
 
 
-def _bound(take: Take, name: str, frame: int, pixels: NDArray, factor: float) -> Doubles | None:
-    """How bare the person is beside contour pixels (M, 2): the most frequent label around each."""
+def _contact(take: Take, name: str, frame: int, pixels: NDArray, factor: float) -> Doubles | None:
+    """Contact (M,) at contour pixels (M, 2), from the most frequent label around each."""
     if take.view(name, frame).labels is None:
         return None
     labels = take.labels(name, frame)
@@ -103,7 +103,7 @@ def _bound(take: Take, name: str, frame: int, pixels: NDArray, factor: float) ->
     around = labels[rows, columns].reshape(len(pixels), -1)
     counts = np.stack([(around == label).sum(axis=1) for label in LABEL_IDS], axis=1)
     commonest = np.where(counts.any(axis=1), np.array(LABEL_IDS)[counts.argmax(axis=1)], NO_LABEL)
-    bound = np.zeros(len(pixels))
+    contact = np.zeros(len(pixels))
     for label, share in SKIN_CONTACT.items():
-        bound[commonest == label] = share
-    return bound
+        contact[commonest == label] = share
+    return contact

@@ -18,9 +18,9 @@ from stages.register_template.fitting.fit_check import (
 )
 from stages.register_template.fitting.fit_scan import fit_scan
 from stages.register_template.fitting.fit_views import (
-    Seen,
+    Observation,
+    concatenate_states,
     first_pose,
-    joined,
     misfit_of,
     pose_from_landmarks,
     refine,
@@ -55,29 +55,28 @@ def fit_takes(
     """Fit all frames of all takes.
 
     Arguments:
-        takes: the one whose first frame (or scan) shows the person best comes first; it decides the shape.
-            Poses of takes that have any (`posed`) are where the fit starts.
+        takes: the first one decides the shape. Takes with poses (`posed`) are refined from them.
         scan: of the first take's `scan_frame`, metres, clean.
 
     Raises:
-        BadData: a mask is empty, or masks have no volume in common.
+        BadData: a frame in which no mask shows the person, or masks that have no volume in common.
     """
     main = takes[0]
     anchor = main.scan_frame if scan is not None and main.scan_frame in main.frames else main.frames[0]
     report.step(f"fitting the body to frame {anchor} of {main.name}")
-    seen = replace(_look(main, anchor, _CONTOUR_POINTS), scan=with_scan([], scan).scan)
-    start = _start(body, main, anchor, seen, scan, report, effort)
+    observation = replace(_look(main, anchor, _CONTOUR_POINTS), scan=with_scan([], scan).scan)
+    start = _start(body, main, anchor, observation, scan, report, effort)
     states = _all_frames(body, main, anchor, start, report)
     report.step("fitting one shape to several frames")
-    state = _one_shape(body, main, anchor, states, seen, effort)
+    state = _one_shape(body, main, anchor, states, observation, effort)
     poses: dict[str, Poses] = {}
     misfits: dict[str, float] = {}
     checks: dict[str, Any] = {}
     for take in takes:
         if take is not main:
-            own = _look(take, take.frames[0], _CONTOUR_POINTS)
-            begin = _start(body, take, take.frames[0], own, None, report, effort)
-            states = _all_frames(body, take, take.frames[0], begin, report)
+            observation = _look(take, take.frames[0], _CONTOUR_POINTS)
+            start = _start(body, take, take.frames[0], observation, None, report, effort)
+            states = _all_frames(body, take, take.frames[0], start, report)
         report.step(f"polishing {take.name}")
         check = FitCheck(take)
         poses[take.name], misfits[take.name] = _polished(body, take, states, state.betas, check, report)
@@ -87,37 +86,43 @@ def fit_takes(
 
 
 def _start(
-    body: BodyModel, take: Take, frame: int, seen: Seen, scan: Mesh | None, report: Report, effort: float
+    body: BodyModel,
+    take: Take,
+    frame: int,
+    observation: Observation,
+    scan: Mesh | None,
+    report: Report,
+    effort: float,
 ) -> State:
-    """One frame of parameters: given, from the scan, or from the masks alone."""
+    """Parameters of one frame: refined from the capture's pose, or fitted to the scan, landmarks or masks."""
     if take.posed:
         state = State.of(take.poses[frame])
-        return refine(body, state, [seen], _TOGETHER, effort, shape=True)
+        return refine(body, state, [observation], _TOGETHER, effort, shape=True)
     if scan is not None:
         state = fit_scan(body, scan, report, effort).state
-        return refine(body, state, [seen], _TOGETHER[1:], effort, shape=True)
-    if seen.landmarks is not None and seen.landmarks.enough(body):
-        return _best_of_hypotheses(body, take, frame, seen, report, effort)
-    return first_pose(body, rough_hull(take, frame, report), seen, report, effort)
+        return refine(body, state, [observation], _TOGETHER[1:], effort, shape=True)
+    if observation.landmarks is not None and observation.landmarks.enough(body):
+        return _best_of_hypotheses(body, take, frame, observation, report, effort)
+    return first_pose(body, rough_hull(take, frame, report), observation, report, effort)
 
 
 def _best_of_hypotheses(
-    body: BodyModel, take: Take, frame: int, seen: Seen, report: Report, effort: float
+    body: BodyModel, take: Take, frame: int, observation: Observation, report: Report, effort: float
 ) -> State:
-    """The pose that begins at the landmarks; where that does not end at them, also the one from the hull."""
-    state = pose_from_landmarks(body, seen, effort)
-    if not wrong_parts(body, state, 0, seen):
+    """The fit that starts from the landmarks; if it ends far from them, the better of it and the hull's."""
+    state = pose_from_landmarks(body, observation, effort)
+    if not wrong_parts(body, state, 0, observation):
         return state
-    other = first_pose(body, rough_hull(take, frame, report), seen, report, effort)
+    other = first_pose(body, rough_hull(take, frame, report), observation, report, effort)
 
     def cost(one: State) -> float:
-        return misfit_of(body, one, seen) + landmark_misfit(body, one, 0, seen)
+        return misfit_of(body, one, observation) + landmark_misfit(body, one, 0, observation)
 
     return min((state, other), key=cost)
 
 
 def _all_frames(body: BodyModel, take: Take, anchor: int, start: State, report: Report) -> dict[int, State]:
-    """States of all frames: the given ones with the shape of `start`, or followed in time from the anchor."""
+    """States of all frames: the capture's poses with the shape of `start`, or tracked from the anchor."""
     if take.posed:
         return {
             frame: replace(State.of(take.poses[frame]), betas=start.betas.copy()) for frame in take.frames
@@ -126,19 +131,24 @@ def _all_frames(body: BodyModel, take: Take, anchor: int, start: State, report: 
     later = [frame for frame in take.frames if frame > anchor]
     earlier = [frame for frame in reversed(take.frames) if frame < anchor]
     lazily = _Views(take)
-    found = {anchor: start}
+    states = {anchor: start}
     for frames in (later, earlier):
-        found |= track(body, start, frames, lazily, report)
-    return found
+        states |= track(body, start, frames, lazily, report)
+    return states
 
 
 def _one_shape(
-    body: BodyModel, take: Take, anchor: int, states: Mapping[int, State], seen: Seen, effort: float
+    body: BodyModel,
+    take: Take,
+    anchor: int,
+    states: Mapping[int, State],
+    observation: Observation,
+    effort: float,
 ) -> State:
     """Frames spread over the take, improved together with the shape they share."""
     frames = sorted({anchor, *_spread(take.frames)})
-    together = [seen if frame == anchor else _look(take, frame, _CONTOUR_POINTS) for frame in frames]
-    state = joined([states[frame] for frame in frames])
+    together = [observation if frame == anchor else _look(take, frame, _CONTOUR_POINTS) for frame in frames]
+    state = concatenate_states([states[frame] for frame in frames])
     state.betas = states[anchor].betas.copy()
     return refine(body, state, together, _TOGETHER, effort, shape=True)
 
@@ -155,22 +165,22 @@ def _polished(
 
     Frames that were not captured repeat the one before them.
     """
-    found: dict[int, State] = {}
+    polished: dict[int, State] = {}
     misfits: dict[int, float] = {}
     lazily = _Views(take)
     for number, frame in enumerate(take.frames):
         state = with_shape(body, states[frame], betas)
-        found[frame] = refine(body, state, [lazily[frame]], _POLISH, 1.0, shape=False)
-        misfits[frame] = misfit_of(body, found[frame], lazily[frame])
-        check.add(body, frame, found[frame], lazily[frame])
+        polished[frame] = refine(body, state, [lazily[frame]], _POLISH, 1.0, shape=False)
+        misfits[frame] = misfit_of(body, polished[frame], lazily[frame])
+        check.add(body, frame, polished[frame], lazily[frame])
         report.progress(number + 1, len(take.frames))
     usual = float(np.median(list(misfits.values())))
     lost = [frame for frame, value in misfits.items() if value > _LOST_TIMES * usual + _LOST_M]
     if lost:
         report.warn(f"{take.name}: the body fits {len(lost)} frames badly, the first is {lost[0]}")
     rows = np.searchsorted(take.frames, np.arange(max(take.frames) + 1), side="right") - 1
-    order = [found[take.frames[max(row, 0)]] for row in rows]
-    state = joined(order)
+    order = [polished[take.frames[max(row, 0)]] for row in rows]
+    state = concatenate_states(order)
     state.betas = np.asarray(betas, np.float64)
     return state.poses(take.fps), usual
 
@@ -183,22 +193,22 @@ def with_shape(body: BodyModel, state: State, betas: np.ndarray) -> State:
     return changed
 
 
-def _look(take: Take, frame: int, contour_points: int) -> Seen:
+def _look(take: Take, frame: int, contour_points: int) -> Observation:
     """The masks of a frame, and its landmarks where the take has some."""
     landmarks = take_landmarks(take)
     points = None if landmarks is None else landmarks.at(frame)
     targets = None if points is None or not np.isfinite(points).any() else Targets(points)
-    return Seen(views_of(take, frame, contour_points), landmarks=targets)
+    return Observation(views_of(take, frame, contour_points), landmarks=targets)
 
 
-class _Views(dict[int, Seen]):
+class _Views(dict[int, Observation]):
     """Masks of frames, read when asked for; only the last frame is kept."""
 
     def __init__(self, take: Take) -> None:
         super().__init__()
         self._take = take
 
-    def __missing__(self, frame: int) -> Seen:
+    def __missing__(self, frame: int) -> Observation:
         self.clear()
         self[frame] = _look(self._take, frame, _CONTOUR_POINTS_TRACKED)
         return self[frame]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from stages.register_template.fitting.bones import State
-from stages.register_template.fitting.fit_views import Seen
+from stages.register_template.fitting.fit_views import Observation
 from stages.register_template.fitting.landmark_terms import CHECKED, landmark_distances
 from stages.register_template.fitting.prior import SHAPE_LIMIT
 from stages.shared.body import BodyModel
@@ -32,11 +32,11 @@ class FitCheck:
         self._frames: dict[int, dict[str, float]] = {}
         self._empty: dict[str, list[int]] = {}
 
-    def add(self, body: BodyModel, frame: int, state: State, seen: Seen) -> None:
+    def add(self, body: BodyModel, frame: int, state: State, observation: Observation) -> None:
         """Look at one fitted frame (a state of one frame)."""
-        if seen.landmarks is not None:
-            self._frames[frame] = landmark_distances(body, state, 0, seen.landmarks)
-        names = {view.camera.name for view in seen.views}
+        if observation.landmarks is not None:
+            self._frames[frame] = landmark_distances(body, state, 0, observation.landmarks)
+        names = {view.camera.name for view in observation.views}
         for name in self._take.training_cameras:
             if self._take.has_image(name, frame) and name not in names:
                 self._empty.setdefault(name, []).append(frame)
@@ -87,19 +87,19 @@ class FitCheck:
         return {"landmark_distance_m": medians, "unusual_betas": odd}
 
 
-def wrong_parts(body: BodyModel, state: State, frame: int, seen: Seen) -> list[str]:
+def wrong_parts(body: BodyModel, state: State, frame: int, observation: Observation) -> list[str]:
     """Parts of the body that are far from their landmarks in one frame."""
-    if seen.landmarks is None:
+    if observation.landmarks is None:
         return []
-    numbers: Mapping[str, float] = landmark_distances(body, state, frame, seen.landmarks)
+    numbers: Mapping[str, float] = landmark_distances(body, state, frame, observation.landmarks)
     return [part for part in CHECKED if numbers[part] > _WRONG_M]
 
 
-def landmark_misfit(body: BodyModel, state: State, frame: int, seen: Seen) -> float:
+def landmark_misfit(body: BodyModel, state: State, frame: int, observation: Observation) -> float:
     """Mean distance of the parts from their landmarks, metres; 0 without landmarks."""
-    if seen.landmarks is None:
+    if observation.landmarks is None:
         return 0.0
-    numbers = landmark_distances(body, state, frame, seen.landmarks)
+    numbers = landmark_distances(body, state, frame, observation.landmarks)
     values = [numbers[part] for part in CHECKED if np.isfinite(numbers[part])]
     return float(np.mean(values)) if values else 0.0
 

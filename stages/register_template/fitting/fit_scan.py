@@ -1,4 +1,4 @@
-"""Fit the body to a scan of a dressed person: from many starts, coarse to fine."""
+"""Fit the body to a scan of a dressed person: from many initial guesses, coarse to fine."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.register_template.fitting.bare_skin import guess_bound
 from stages.register_template.fitting.bones import State, SurfacePoints, bones_of, vertices_of
+from stages.register_template.fitting.initial_guesses import InitialGuess, initial_guesses
 from stages.register_template.fitting.prior import Prior
 from stages.register_template.fitting.scan_terms import (
     ScanPoints,
@@ -19,8 +19,8 @@ from stages.register_template.fitting.scan_terms import (
     outer_points,
     scan_points,
 )
-from stages.register_template.fitting.solve import Free, step
-from stages.register_template.fitting.starts import Start, make_starts
+from stages.register_template.fitting.skin_contact import guess_contact
+from stages.register_template.fitting.solve import ActiveParameters, step
 from stages.shared.body import BodyModel
 from stages.shared.body.skeleton import JOINT_INDEX, SHAPE_COUNT
 from stages.shared.errors import BadData
@@ -43,17 +43,18 @@ class Level:
     """One round of a fit.
 
     Attributes:
-        points: points on either surface. robust: metres. steps: at full length. kept: starts that go on.
-        joints, betas: what may move. loosest: how far even cloth is bound to the skin.
+        points: points on either surface. robust: distance of half weight, metres. steps: at full effort.
+        survivors: number of guesses that go on. joints, betas: numbers of those that may change.
+        least_contact: smallest contact of any scan point.
     """
 
     points: int
     robust: float
     steps: int
-    kept: int
+    survivors: int
     joints: NDArray[np.intp]
     betas: NDArray[np.intp]
-    loosest: float
+    least_contact: float
 
 
 LEVELS = (
@@ -67,7 +68,7 @@ LEVELS = (
 
 @dataclass(frozen=True, eq=False)
 class ScanFit:
-    """The body in a scan: one frame of parameters in the scan's frame, which axis is up, and the misfit."""
+    """The fit: one frame of parameters in the scan's coordinates, the up axis, and the misfit (m²)."""
 
     state: State
     up: str
@@ -87,15 +88,15 @@ def fit_scan(
     Arguments:
         mesh: of one standing person, metres, clean (`scan_cleaning`).
         effort: share of the steps of every level.
-        start: one frame to improve; without it every up axis and eight ways to face are tried.
+        start: one frame to improve; without it every up axis and eight directions are tried.
         levels: rounds, coarse to fine; the first two are left out when there is a start.
 
     Raises:
-        BadData: no way to stand a person into the mesh.
+        BadData: the mesh has not the height of a person along any axis.
     """
     scan = scan_points(mesh, LEVELS[-1].points)
     if start is None:
-        starts = make_starts(body, scan.points)
+        starts = initial_guesses(body, scan.points)
         if not starts:
             size = np.ptp(mesh.vertices, axis=0)
             raise BadData(
@@ -105,19 +106,19 @@ def fit_scan(
             )
         starts = _promising(body, starts, scan)
     else:
-        starts, levels = [Start("+y", start)], levels[2:]
+        starts, levels = [InitialGuess("+y", start)], levels[2:]
     for level in levels:
         thinned, outer = scan.thinned(level.points), outer_points(body, level.points)
         for number, one in enumerate(starts):
             _improve(body, one, thinned, outer, level, effort, guess=mesh.labels is None)
             report.progress(number + 1, len(starts), loss=one.loss)
-        starts = sorted(starts, key=lambda one: one.loss)[: level.kept]
+        starts = sorted(starts, key=lambda one: one.loss)[: level.survivors]
     best = starts[0]
     return ScanFit(best.state, best.up, best.loss)
 
 
-def _promising(body: BodyModel, starts: list[Start], scan: ScanPoints) -> list[Start]:
-    """The starts that fit best as they are."""
+def _promising(body: BodyModel, starts: list[InitialGuess], scan: ScanPoints) -> list[InitialGuess]:
+    """The guesses that fit best before any step."""
     level = LEVELS[0]
     thinned, outer = scan.thinned(level.points), outer_points(body, level.points)
     for one in starts:
@@ -128,25 +129,27 @@ def _promising(body: BodyModel, starts: list[Start], scan: ScanPoints) -> list[S
 
 def _improve(
     body: BodyModel,
-    start: Start,
+    start: InitialGuess,
     scan: ScanPoints,
     outer: SurfacePoints,
     level: Level,
     effort: float,
     guess: bool,
 ) -> None:
-    """Some steps from a start, in place."""
-    free, state, prior = Free(level.joints, level.betas), start.state, Prior()
+    """Some steps from a guess, in place."""
+    active, state, prior = ActiveParameters(level.joints, level.betas), start.state, Prior()
     for number in range(max(3, round(effort * level.steps))):
         bones, vertices = bones_of(body, state, 0), vertices_of(body, state)
         if guess and number % 4 == 0 and level is not LEVELS[0]:
-            scan = replace(scan, bound=guess_bound(body, nearest_on_body(body, vertices, scan.points), scan))
-        bound = scan.bound_at_least(level.loosest)
+            scan = replace(
+                scan, contact=guess_contact(body, nearest_on_body(body, vertices, scan.points), scan)
+            )
+        contact = scan.contact_at_least(level.least_contact)
         terms = [
-            from_scan(body, vertices, bound, level.robust),
-            from_body(outer, bones.place(outer), bound, level.robust),
+            from_scan(body, vertices, contact, level.robust),
+            from_body(outer, bones.place(outer), contact, level.robust),
         ]
-        state = step(state, [bones], [terms], prior, free)
+        state = step(state, [bones], [terms], prior, active)
     start.state = state
     places = bones_of(body, state, 0).place(outer)
     start.loss = misfit(body, vertices_of(body, state), places, scan, level.robust)

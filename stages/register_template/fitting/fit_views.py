@@ -1,7 +1,7 @@
-"""Fit the body to images: a hull of the masks finds the pose, contours refine it, neighbours in time help.
+"""Fit the body to images: a hull of the masks gives the pose, contours refine it, and frames follow in time.
 
-Frames of all takes share one shape. The first frame is found from many starts, like a scan; every other one
-starts where the frame before it ended. A few frames, spread over the motion, then improve the shape together.
+Frames of all takes share one shape. The first frame is fitted from many initial guesses, like a scan. Every
+other frame starts from the one before it. A few frames, spread over the motion, then refine the shape.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from stages.register_template.fitting.scan_terms import (
     outer_points,
     scan_points,
 )
-from stages.register_template.fitting.solve import Free, Residuals, step
+from stages.register_template.fitting.solve import ActiveParameters, Residuals, step
 from stages.register_template.fitting.view_terms import contour_distance, outside_of_mask, view_misfit
 from stages.shared.body import BodyModel
 from stages.shared.body.skeleton import JOINT_COUNT
@@ -37,20 +37,20 @@ from stages.shared.meshes.topology import face_normals
 from stages.shared.report import Report
 
 _OUTER_POINTS = 800
-_ROUNDS = ((0.10, 8, 0.3), (0.05, 10, 0.1), (0.025, 12, 0.03))  # robust distance (m), steps, looseness
+_ROUNDS = ((0.10, 8, 0.3), (0.05, 10, 0.1), (0.025, 12, 0.03))  # robust distance (m), steps, smallest contact
 _TRACK = ((0.08, 4, 0.2), (0.03, 5, 0.05))
 _SCAN_ROUND = LEVELS[-2]
 _NEAR_SPREAD = np.radians(20.0)  # that a joint turns between two frames
 _MISFIT_M = 0.10
 _LOST_PART_M = 0.10
-# Errors of masks are alike in all points of a contour: a view tells less about the shape than its points do.
+# Errors of a mask are correlated along its contour: a view constrains the shape less than its points would.
 _SHAPE_WEIGHT = 15.0
 _NO_BETAS = np.arange(0)
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
-    """What is known of one frame: its masks, and a scan or landmarks if there are any."""
+class Observation:
+    """What one frame shows: its masks, and a scan or landmarks if there are any."""
 
     views: Sequence[View]
     scan: ScanPoints | None = None
@@ -60,50 +60,56 @@ class Seen:
 def first_pose(
     body: BodyModel,
     hull: Mesh,
-    seen: Seen,
+    observation: Observation,
     report: Report,
     effort: float = 1.0,
     levels: tuple[Level, ...] = LEVELS[:3],
 ) -> State:
     """One frame from nothing: the hull of its masks as a rough scan, then contours (and the scan)."""
     rough = fit_scan(body, hull, report, effort, levels=levels)
-    return refine(body, rough.state, [seen], _ROUNDS, effort, shape=True)
+    return refine(body, rough.state, [observation], _ROUNDS, effort, shape=True)
 
 
-def pose_from_landmarks(body: BodyModel, seen: Seen, effort: float = 1.0) -> State:
+def pose_from_landmarks(body: BodyModel, observation: Observation, effort: float = 1.0) -> State:
     """One frame that starts from its landmarks and ends at its contours."""
-    assert seen.landmarks is not None
-    return refine(body, first_state(body, seen.landmarks), [seen], _ROUNDS[1:], effort, shape=True)
+    assert observation.landmarks is not None
+    return refine(
+        body, first_state(body, observation.landmarks), [observation], _ROUNDS[1:], effort, shape=True
+    )
 
 
 def track(
-    body: BodyModel, start: State, frames: Sequence[int], seen: Mapping[int, Seen], report: Report
+    body: BodyModel,
+    start: State,
+    frames: Sequence[int],
+    observations: Mapping[int, Observation],
+    report: Report,
 ) -> dict[int, State]:
-    """One-frame states of `frames`, which follow each other in time; the shape of `start` stays."""
-    found: dict[int, State] = {}
+    """One-frame states of `frames`, which follow each other in time, with the shape of `start`."""
+    states: dict[int, State] = {}
     before, earlier = start, None
     for number, frame in enumerate(frames):
         guess = before.copy()
         if earlier is not None:
             guess.translation = guess.translation + 0.5 * (before.translation - earlier.translation)
         prior = Prior(near=before.rotations, near_spread=np.full(JOINT_COUNT, _NEAR_SPREAD))
-        found[frame] = refine(body, guess, [seen[frame]], _TRACK, 1.0, shape=False, prior=prior)
-        found[frame] = _found_again(body, found[frame], seen[frame])
-        before, earlier = found[frame], before
+        states[frame] = refine(body, guess, [observations[frame]], _TRACK, 1.0, shape=False, prior=prior)
+        states[frame] = _recovered(body, states[frame], observations[frame])
+        before, earlier = states[frame], before
         report.progress(number + 1, len(frames))
-    return found
+    return states
 
 
-def _found_again(body: BodyModel, state: State, seen: Seen) -> State:
-    """The tracked frame, or one that begins at its landmarks where tracking lost a part of the body."""
-    targets = seen.landmarks
+def _recovered(body: BodyModel, state: State, observation: Observation) -> State:
+    """The tracked frame, or a fit that starts from its landmarks where tracking lost a part of the body."""
+    targets = observation.landmarks
     if targets is None or not targets.enough(body):
         return state
     lost = _farthest_part(body, state, targets)
     if lost <= _LOST_PART_M:
         return state
     again = first_state(body, targets, state.betas)
-    again = refine(body, again, [seen], _TRACK[1:], 1.0, shape=False)
+    again = refine(body, again, [observation], _TRACK[1:], 1.0, shape=False)
     return again if _farthest_part(body, again, targets) < lost else state
 
 
@@ -115,7 +121,7 @@ def _farthest_part(body: BodyModel, state: State, targets: Targets) -> float:
 def refine(
     body: BodyModel,
     state: State,
-    seen: Sequence[Seen],
+    observations: Sequence[Observation],
     rounds: Sequence[tuple[float, int, float]],
     effort: float,
     shape: bool,
@@ -124,16 +130,17 @@ def refine(
     """Improve the frames of a state together by their contours and scans.
 
     Arguments:
-        seen: for every frame of `state`. rounds: robust distance, steps and looseness of each.
+        observations: of every frame of `state`.
+        rounds: robust distance (metres), steps and smallest contact of each.
         shape: whether the betas move, too.
     """
     outer = outer_points(body, _OUTER_POINTS)
-    free = Free(BODY_JOINTS, ALL_BETAS if shape else _NO_BETAS)
-    views = sum(len(one.views) for one in seen)
+    active = ActiveParameters(BODY_JOINTS, ALL_BETAS if shape else _NO_BETAS)
+    views = sum(len(one.views) for one in observations)
     prior = prior or Prior(shape_weight=max(1.0, _SHAPE_WEIGHT * views))
-    for robust, steps, loosest in rounds:
+    for robust, steps, least_contact in rounds:
         for _ in range(max(2, round(effort * steps))):
-            bones = [bones_of(body, state, number) for number in range(len(seen))]
+            bones = [bones_of(body, state, number) for number in range(len(observations))]
             terms = [
                 _terms(
                     body,
@@ -142,29 +149,31 @@ def refine(
                     bones[number].place(outer),
                     one,
                     robust,
-                    loosest,
+                    least_contact,
                     state,
                     number,
                 )
-                for number, one in enumerate(seen)
+                for number, one in enumerate(observations)
             ]
-            state = step(state, bones, terms, prior, free)
+            state = step(state, bones, terms, prior, active)
     return state
 
 
-def misfit_of(body: BodyModel, state: State, seen: Seen) -> float:
+def misfit_of(body: BodyModel, state: State, observation: Observation) -> float:
     """Root of the mean squared robust distance of one frame's contours, metres."""
     outer = outer_points(body, _OUTER_POINTS)
     places = bones_of(body, state).place(outer)
-    return float(np.sqrt(view_misfit(body, vertices_of(body, state), places, list(seen.views), _MISFIT_M)))
+    return float(
+        np.sqrt(view_misfit(body, vertices_of(body, state), places, list(observation.views), _MISFIT_M))
+    )
 
 
-def with_scan(views: Sequence[View], scan: Mesh | None) -> Seen:
+def with_scan(views: Sequence[View], scan: Mesh | None) -> Observation:
     """A frame that has masks and perhaps a scan in metres."""
-    return Seen(views, None if scan is None else scan_points(scan, _SCAN_ROUND.points))
+    return Observation(views, None if scan is None else scan_points(scan, _SCAN_ROUND.points))
 
 
-def joined(states: Sequence[State]) -> State:
+def concatenate_states(states: Sequence[State]) -> State:
     """One-frame states as one state, with the mean of their shapes."""
     return State(
         np.concatenate([one.rotations for one in states]),
@@ -178,20 +187,20 @@ def _terms(
     vertices: np.ndarray,
     outer: SurfacePoints,
     places: np.ndarray,
-    seen: Seen,
+    observation: Observation,
     robust: float,
-    loosest: float,
+    least_contact: float,
     state: State,
     frame: int,
 ) -> list[Residuals]:
     terms, normals = [], face_normals(vertices, body.faces)[0]
-    for view in seen.views:
+    for view in observation.views:
         terms.append(outside_of_mask(outer, places, view, robust))
-        terms.append(contour_distance(body, vertices, normals, view, robust, loosest))
-    if seen.scan is not None:
-        bound = seen.scan.bound_at_least(loosest)
+        terms.append(contour_distance(body, vertices, normals, view, robust, least_contact))
+    if observation.scan is not None:
+        contact = observation.scan.contact_at_least(least_contact)
         near = min(robust, _SCAN_ROUND.robust)
-        terms += [from_scan(body, vertices, bound, near), from_body(outer, places, bound, near)]
-    if seen.landmarks is not None:
-        terms.append(landmark_residuals(body, state, frame, seen.landmarks, len(seen.views)))
+        terms += [from_scan(body, vertices, contact, near), from_body(outer, places, contact, near)]
+    if observation.landmarks is not None:
+        terms.append(landmark_residuals(body, state, frame, observation.landmarks, len(observation.views)))
     return [one for one in terms if len(one.values)]

@@ -1,4 +1,4 @@
-"""Where a fit begins: every up axis, eight ways to face, arms out and arms down."""
+"""Initial guesses of a fit: every up axis, eight directions, arms out and arms down."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ _HEIGHT_TOLERANCE = 1.35  # between the box of the points and that of the body
 
 
 @dataclass(eq=False)
-class Start:
-    """A guess: which axis is up, and one frame of parameters in the frame of the points."""
+class InitialGuess:
+    """The up axis, one frame of parameters in the coordinates of the points, and its misfit, metres²."""
 
     up: str
     state: State
     loss: float = float("inf")
 
 
-def make_starts(body: BodyModel, points: Doubles) -> list[Start]:
-    """Starts for points (M, 3) of a standing person in metres, in any orientation along the axes."""
+def initial_guesses(body: BodyModel, points: Doubles) -> list[InitialGuess]:
+    """Guesses for points (M, 3) of a standing person, metres, with any axis up."""
     starts = []
     tall = np.ptp(body.template_vertices[:, 1])
     for up, turn in UP_AXES.items():
@@ -45,7 +45,7 @@ def make_starts(body: BodyModel, points: Doubles) -> list[Start]:
         for yaw in range(_YAWS):
             facing = Rotation.from_euler("y", yaw * 2 * np.pi / _YAWS).as_matrix()
             for angle in _ARMS_DOWN:
-                starts.append(Start(up, _state(body, points, turn.T @ facing, angle)))
+                starts.append(InitialGuess(up, _state(body, points, turn.T @ facing, angle)))
     return starts
 
 

@@ -20,7 +20,7 @@ from stages.register_template.fitting.bones import (
     bones_of,
 )
 from stages.register_template.fitting.prior import Prior
-from stages.register_template.fitting.solve import Free, Residuals, step
+from stages.register_template.fitting.solve import ActiveParameters, Residuals, step
 from stages.shared.body import BodyModel
 from stages.shared.body.skeleton import JOINT_COUNT, JOINT_INDEX, SHAPE_COUNT
 
@@ -113,11 +113,11 @@ def first_state(body: BodyModel, targets: Targets, betas: Doubles | None = None)
     state = State(rotations, np.zeros((1, 3)), shape)
     hips = [JOINT_INDEX["left_hip"], JOINT_INDEX["right_hip"]]
     state.translation[0] = points[[23, 24]].mean(axis=0) - bones_of(body, state).joints[hips].mean(axis=0)
-    free, prior = Free(_BODY, _FIRST_BETAS if betas is None else _NO_BETAS), Prior()
+    active, prior = ActiveParameters(_BODY, _FIRST_BETAS if betas is None else _NO_BETAS), Prior()
     for robust, steps in _FIRST_ROUNDS:
         for _ in range(steps):
             terms = [_residuals(body, state, 0, targets, robust, _MEASUREMENTS)]
-            state = step(state, [bones_of(body, state)], [terms], prior, free)
+            state = step(state, [bones_of(body, state)], [terms], prior, active)
     return state
 
 

@@ -1,4 +1,4 @@
-"""A body inside of a scan: residuals that hold the skin to bare skin and leave clothes room outside of it."""
+"""Residuals of a body inside of a scan: skin follows bare skin, and clothes may lie outside of it."""
 
 from __future__ import annotations
 
@@ -25,13 +25,19 @@ _ESCAPING_RAYS, _RAYS = 2, 24  # a body point from which fewer rays escape is in
 
 @dataclass(frozen=True, eq=False)
 class ScanPoints:
-    """Points (M, 3) of a scan with unit normals (M, 3), sRGB colours (M, 3) in [0, 1] if any, a tree, and
-    how far each point is bound to the skin (M,): 1 bare skin, 0 cloth that may be anywhere outside."""
+    """Points of a scan, in random order.
+
+    Attributes:
+        points: (M, 3) metres. normals: (M, 3) unit. colors: (M, 3) sRGB 0..1, or None.
+        contact: (M,) how closely the body's skin must follow each point: 1 for bare skin, 0 for cloth that
+            may be anywhere outside of the body.
+        tree: of the points.
+    """
 
     points: Doubles
     normals: Doubles
     colors: Doubles | None
-    bound: Doubles
+    contact: Doubles
     tree: cKDTree
 
     def thinned(self, count: int) -> ScanPoints:
@@ -43,13 +49,13 @@ class ScanPoints:
             self.points[:count],
             self.normals[:count],
             colors,
-            self.bound[:count],
+            self.contact[:count],
             cKDTree(self.points[:count]),
         )
 
-    def bound_at_least(self, share: float) -> ScanPoints:
-        """The same points, all of them bound to the skin by at least `share`."""
-        return replace(self, bound=np.maximum(self.bound, share))
+    def contact_at_least(self, share: float) -> ScanPoints:
+        """The same points, each with a contact of at least `share`."""
+        return replace(self, contact=np.maximum(self.contact, share))
 
 
 def spread_points(
@@ -72,15 +78,15 @@ def scan_points(mesh: Mesh, count: int, seed: int = 0) -> ScanPoints:
     length = np.linalg.norm(smooth, axis=1, keepdims=True)
     flat = face_normals(mesh.vertices, mesh.faces)[0][chosen]
     normals = np.where(length > 1e-6, smooth / np.maximum(length, 1e-6), flat)
-    bound = np.ones(count)
+    contact = np.ones(count)
     if mesh.labels is not None:
         labels = mesh.labels[corners]
-        for label, contact in SKIN_CONTACT.items():
-            bound = np.where((labels == label).any(axis=1), np.minimum(bound, contact), bound)
+        for label, share in SKIN_CONTACT.items():
+            contact = np.where((labels == label).any(axis=1), np.minimum(contact, share), contact)
     colors = None
     if mesh.colors is not None:
         colors = np.einsum("mk,mkc->mc", shares, mesh.colors[corners] / 255.0)
-    return ScanPoints(points, normals, colors, bound, cKDTree(points))
+    return ScanPoints(points, normals, colors, contact, cKDTree(points))
 
 
 def outer_points(body: BodyModel, count: int, seed: int = 0) -> SurfacePoints:
@@ -126,31 +132,32 @@ def nearest_on_body(body: BodyModel, vertices: Doubles, points: Doubles) -> Near
 def from_scan(body: BodyModel, vertices: Doubles, scan: ScanPoints, robust: float) -> Residuals:
     """Every scan point to the plane of the body's surface nearest to it.
 
-    A scan point inside of the body means that skin pokes out, and counts fully; one outside counts as far as
-    it is bound to the skin. Pairs that are far apart, or face away from each other, stop to count.
+    A scan point inside of the body means that skin pokes out. It counts fully. A point outside counts by its
+    contact. Pairs that are far apart, or face away from each other, do not count.
 
     Arguments:
         vertices: (V, 3) posed. robust: metres at which a distance begins to mean nothing (Geman-McClure).
     """
     near = nearest_on_body(body, vertices, scan.points)
     agree = np.einsum("mc,mc->m", near.normals, scan.normals) > _SAME_SIDE
-    bound = np.where(near.outside > 0, scan.bound, 1.0)
-    weights = agree * bound * _kernel(near.squared, robust) * _scale(robust, len(scan.points))
+    contact = np.where(near.outside > 0, scan.contact, 1.0)
+    weights = agree * contact * _kernel(near.squared, robust) * _scale(robust, len(scan.points))
     used = weights > 0
     points = surface_points(body, near.faces[used], near.shares[used])
     return Residuals(points, near.outside[used], -near.normals[used], weights[used])
 
 
 def from_body(points: SurfacePoints, places: Doubles, scan: ScanPoints, robust: float) -> Residuals:
-    """Body points (K, 3) that lie outside of the scan, to the plane of the scan point nearest to them.
+    """Body points (K, 3) to the plane of the scan point nearest to them.
 
-    Inside of the scan they may be anywhere: there are clothes. The scan may have holes.
+    Points outside of the scan count fully. Inside they count little, because there are clothes, and the scan
+    may have holes.
     """
     near = scan.tree.query(places)[1]
     way = places - scan.points[near]
     outside = np.einsum("kc,kc->k", way, scan.normals[near])
-    bound = np.where(outside > 0, 1.0, 0.3 * scan.bound[near])
-    weights = bound * _kernel((way * way).sum(axis=1), robust) * _scale(robust, len(places))
+    contact = np.where(outside > 0, 1.0, 0.3 * scan.contact[near])
+    weights = contact * _kernel((way * way).sum(axis=1), robust) * _scale(robust, len(places))
     return Residuals(points, outside, scan.normals[near], weights)
 
 
@@ -162,14 +169,14 @@ def misfit(body: BodyModel, vertices: Doubles, outer: Doubles, scan: ScanPoints,
     """
     near = nearest_on_body(body, vertices, scan.points)
     agree = np.einsum("mc,mc->m", near.normals, scan.normals) > _SAME_SIDE
-    bound = np.where(near.outside > 0, np.maximum(scan.bound, 0.1), 1.0)
+    contact = np.where(near.outside > 0, np.maximum(scan.contact, 0.1), 1.0)
     lost = robust**2
-    scan_side = np.where(agree, _robust(near.squared, robust), lost) * bound
-    found = scan.tree.query(outer)[1]
-    way = outer - scan.points[found]
-    poking = (way * scan.normals[found]).sum(axis=1) > 0
+    scan_side = np.where(agree, _robust(near.squared, robust), lost) * contact
+    near_scan = scan.tree.query(outer)[1]
+    way = outer - scan.points[near_scan]
+    poking = (way * scan.normals[near_scan]).sum(axis=1) > 0
     body_side = np.where(poking, 1.0, 0.3) * _robust((way * way).sum(axis=1), robust)
-    return float(scan_side.sum() / bound.sum() + body_side.mean())
+    return float(scan_side.sum() / contact.sum() + body_side.mean())
 
 
 def _scale(robust: float, count: int) -> float:

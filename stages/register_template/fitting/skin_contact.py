@@ -1,6 +1,6 @@
-"""Which points of an unlabelled scan are bare skin: those coloured like the hands, and by their place.
+"""Which points of an unlabelled scan are bare skin, from their colour and their place on the body.
 
-Most people show their hands and their face; a scan's colour there tells what skin looks like on this person.
+Most people show their hands, so the scan's colour there is the colour of this person's skin.
 """
 
 from __future__ import annotations
@@ -18,25 +18,25 @@ _FEWEST_POINTS = 20
 _SPREAD_FLOOR = 0.05  # of the logarithms of colour ratios
 _SPREAD_TIMES = 3.0
 _DARKEST, _BRIGHTEST = 0.35, 1.8  # brightness against the hands' median
-_PLACE_BOUND = {"bare": 1.0, "often": 0.3, "covered": 0.05}
+_CONTACT = {"bare": 1.0, "often": 0.3, "covered": 0.05}
 _BARE = ("wrist", "index", "middle", "pinky", "ring", "thumb", "jaw")
 _OFTEN = ("neck", "head", "elbow")
-_SMOOTHED_OVER = 12  # neighbours whose opinion counts
+_SMOOTHED_OVER = 12  # neighbours that are averaged
 
 
-def guess_bound(body: BodyModel, near: Nearest, scan: ScanPoints) -> Doubles:
-    """(M,) how far each scan point is bound to the skin, from its place on the body and its colour."""
+def guess_contact(body: BodyModel, near: Nearest, scan: ScanPoints) -> Doubles:
+    """(M,) contact of each scan point with the skin, from its place on the body and its colour."""
     joints = body.skin_weights[body.faces[near.faces]].mean(axis=1).argmax(axis=1)
-    by_place = bound_of_joints()[joints]
+    by_joint = contact_of_joints()[joints]
     by_color = None if scan.colors is None else _like_hands(scan.colors, joints, near.squared)
     if by_color is None:
-        return by_place
+        return by_joint
     share = by_color[scan.tree.query(scan.points, min(_SMOOTHED_OVER, len(by_color)))[1]].mean(axis=1)
-    return np.where(share > 0.6, 1.0, np.where(share < 0.3, 0.0, 0.2 * by_place))
+    return np.where(share > 0.6, 1.0, np.where(share < 0.3, 0.0, 0.2 * by_joint))
 
 
 def _like_hands(colors: Doubles, joints: NDArray, squared: Doubles) -> Doubles | None:
-    """(M,) 1 where a point is coloured like the hands; None when the hands tell nothing."""
+    """(M,) 1 where a point has the colour of the hands; None where too few points are near the hands."""
     hands = [JOINT_INDEX["left_wrist"], JOINT_INDEX["right_wrist"], *range(25, 55)]
     known = np.isin(joints, hands) & (squared < _NEAR_M**2)
     if known.sum() < _FEWEST_POINTS:
@@ -57,13 +57,13 @@ def _ratios(colors: Doubles) -> tuple[Doubles, Doubles]:
     return np.stack([logs[:, 0] - logs[:, 1], logs[:, 1] - logs[:, 2]], axis=1), safe.mean(axis=1)
 
 
-def bound_of_joints() -> Doubles:
-    """(55,) by the place alone."""
-    bound = np.full(len(JOINT_INDEX), _PLACE_BOUND["covered"])
+def contact_of_joints() -> Doubles:
+    """(55,) contact of points whose largest skinning weight is each joint's."""
+    contact = np.full(len(JOINT_INDEX), _CONTACT["covered"])
     for name, joint in JOINT_INDEX.items():
         part = name.removeprefix("left_").removeprefix("right_").rstrip("123")
         if part in _BARE:
-            bound[joint] = _PLACE_BOUND["bare"]
+            contact[joint] = _CONTACT["bare"]
         elif part in _OFTEN:
-            bound[joint] = _PLACE_BOUND["often"]
-    return bound
+            contact[joint] = _CONTACT["often"]
+    return contact

@@ -20,7 +20,7 @@ DAMPING = 1e-3  # share of the diagonal that is added to it
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
-    """K numbers that should be zero, and how they change when their surface points move.
+    """K residuals and their derivatives with respect to their surface points.
 
     Attributes:
         points: the K points. values: (K,) metres. gradients: (K, 3). weights: (K,) per square metre.
@@ -38,8 +38,8 @@ class Residuals:
 
 
 @dataclass(frozen=True, eq=False)
-class Free:
-    """What may move: the joints numbered (J',) and the betas numbered (B',); translations always may."""
+class ActiveParameters:
+    """The parameters that a step changes: joints (J',) and betas (B',), by number, and all translations."""
 
     joints: NDArray[np.intp]
     betas: NDArray[np.intp]
@@ -50,7 +50,7 @@ def step(
     bones: Sequence[Bones],
     terms: Sequence[Sequence[Residuals]],
     prior: Prior,
-    free: Free,
+    active: ActiveParameters,
     damping: float = DAMPING,
 ) -> State:
     """One step: normal equations of all residuals and the prior, solved for all frames and the shape.
@@ -58,17 +58,17 @@ def step(
     Arguments:
         bones: of each frame. terms: of each frame, the residuals at `state`.
     """
-    width, shape = 3 + 3 * len(free.joints), len(free.betas)
+    width, shape = 3 + 3 * len(active.joints), len(active.betas)
     size = len(bones) * width + shape
     matrix, right = np.zeros((size, size)), np.zeros(size)
     tail = len(bones) * width + np.arange(shape)
-    turns = (3 * free.joints[:, None] + np.arange(3)).reshape(-1)  # entries of the prior's 165
+    turns = (3 * active.joints[:, None] + np.arange(3)).reshape(-1)  # entries of the prior's 165
     for number, (skeleton, residuals) in enumerate(zip(bones, terms, strict=True)):
         first = number * width
         block = np.r_[first + np.arange(width), tail]
         for one in residuals:
-            rows = skeleton.rows(one.points, one.gradients, free.joints)
-            rows = np.concatenate([rows[:, :width], rows[:, width:][:, free.betas]], axis=1)
+            rows = skeleton.jacobian(one.points, one.gradients, active.joints)
+            rows = np.concatenate([rows[:, :width], rows[:, width:][:, active.betas]], axis=1)
             rows *= np.sqrt(one.weights)[:, None].astype(np.float32)
             matrix[np.ix_(block, block)] += rows.T @ rows
             right[block] -= rows.T @ (np.sqrt(one.weights) * one.values).astype(np.float32)
@@ -77,24 +77,26 @@ def step(
         matrix[np.ix_(own, own)] += hessian[np.ix_(turns, turns)]
         right[own] -= slope[turns]
     hessian_shape, slope_shape = prior.shape(state.betas)
-    matrix[tail, tail] += hessian_shape[free.betas]
-    right[tail] -= slope_shape[free.betas]
+    matrix[tail, tail] += hessian_shape[active.betas]
+    right[tail] -= slope_shape[active.betas]
     diagonal = np.diag(matrix).copy()
     matrix[np.diag_indices(size)] += damping * diagonal + 1e-9 * diagonal.max()
-    return _moved(state, np.asarray(np.linalg.solve(matrix, right), np.float64), free)
+    return _moved(state, np.asarray(np.linalg.solve(matrix, right), np.float64), active)
 
 
-def _moved(state: State, found: Doubles, free: Free) -> State:
+def _moved(state: State, solution: Doubles, active: ActiveParameters) -> State:
     """The state after small translations, turns in the parents' axes, and changes of the shape."""
     result = state.copy()
-    frames, shape = len(state.rotations), len(free.betas)
-    changes = found[: len(found) - shape].reshape(frames, -1)
+    frames, shape = len(state.rotations), len(active.betas)
+    changes = solution[: len(solution) - shape].reshape(frames, -1)
     for number, change in enumerate(changes):
         way, turns = change[:3], change[3:].reshape(-1, 3)
         result.translation[number] += way * min(1.0, _LONGEST_WAY / max(float(np.linalg.norm(way)), 1e-12))
         angles = np.linalg.norm(turns, axis=1, keepdims=True)
         turns = turns * np.minimum(1.0, _LONGEST_TURN / np.maximum(angles, 1e-12))
-        before = Rotation.from_rotvec(result.rotations[number, free.joints])
-        result.rotations[number, free.joints] = (Rotation.from_rotvec(turns) * before).as_rotvec()
-    result.betas[free.betas] += np.clip(found[len(found) - shape :], -_LARGEST_CHANGE, _LARGEST_CHANGE)
+        before = Rotation.from_rotvec(result.rotations[number, active.joints])
+        result.rotations[number, active.joints] = (Rotation.from_rotvec(turns) * before).as_rotvec()
+    result.betas[active.betas] += np.clip(
+        solution[len(solution) - shape :], -_LARGEST_CHANGE, _LARGEST_CHANGE
+    )
     return result

@@ -1,4 +1,4 @@
-"""A body behind its masks: residuals of silhouettes, which clothes may widen but skin may not leave."""
+"""Residuals of a body behind its masks: clothes may widen a silhouette, skin may not leave it."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from stages.register_template.fitting.bare_skin import bound_of_joints
 from stages.register_template.fitting.bones import Doubles, SurfacePoints, surface_points
 from stages.register_template.fitting.contours import View
+from stages.register_template.fitting.skin_contact import contact_of_joints
 from stages.register_template.fitting.solve import Residuals
 from stages.shared.body import BodyModel
 from stages.shared.capture.camera import Camera
@@ -25,11 +25,11 @@ _EDGES: dict[str, NDArray[np.intp]] = {}
 def outside_of_mask(points: SurfacePoints, places: Doubles, view: View, robust: float) -> Residuals:
     """Body points whose projection lies outside of the mask, with their distance to it in metres."""
     pixels, depth = view.camera.project(places)
-    seen = view.camera.in_view(pixels) & (depth > _LEAST_DEPTH)
-    columns, rows = (np.where(seen, pixels[:, axis], 0).astype(int) for axis in (0, 1))
-    metres = np.where(seen, depth, 1.0) / _focal(view.camera)
+    visible = view.camera.in_view(pixels) & (depth > _LEAST_DEPTH)
+    columns, rows = (np.where(visible, pixels[:, axis], 0).astype(int) for axis in (0, 1))
+    metres = np.where(visible, depth, 1.0) / _focal(view.camera)
     value = view.distance[rows, columns] * metres
-    used = np.flatnonzero(seen & (value < 0))
+    used = np.flatnonzero(visible & (value < 0))
     slope = view.slope[rows[used], columns[used]]
     gradients = _through_camera(view.camera, places[used], slope) * metres[used, None]
     weights = _weights(value[used], robust, len(places))
@@ -37,18 +37,18 @@ def outside_of_mask(points: SurfacePoints, places: Doubles, view: View, robust: 
 
 
 def contour_distance(
-    body: BodyModel, vertices: Doubles, normals: Doubles, view: View, robust: float, loosest: float
+    body: BodyModel, vertices: Doubles, normals: Doubles, view: View, robust: float, least_contact: float
 ) -> Residuals:
-    """Every contour point of the mask to the body's rim nearest to it that faces the same way.
+    """Every contour point of the mask to the nearest point of the body's occluding contour.
 
-    The rim is where the surface turns away from the camera. A rim outside of the mask counts fully, one
-    inside as far as the contour is bare skin there: by label images, or by the place on the body.
+    An occluding contour outside of the mask counts fully. One inside of it counts by the contact of the
+    mask's contour point, from label images or from the place on the body.
 
     Arguments:
         vertices: (V, 3) posed. normals: (F, 3) of its faces.
-        loosest: how far even cloth is bound to the skin.
+        least_contact: smallest contact of any contour point.
     """
-    faces, shares, directions = rim(body, vertices, normals, view.camera)
+    faces, shares, directions = occluding_contour(body, vertices, normals, view.camera)
     points = surface_points(body, faces, shares)
     places = np.einsum("ks,ksc->kc", shares, vertices[body.faces[faces]])
     pixels, depth = view.camera.project(places)
@@ -63,12 +63,12 @@ def contour_distance(
     value = np.einsum("mc,mc->m", view.contour - pixels[near], view.normals) * metres
     apart = np.linalg.norm(view.contour - pixels[near], axis=1) * metres
     agree = np.einsum("mc,mc->m", directions[near], view.normals) > _SAME_SIDE
-    bound = view.bound
-    if bound is None:
+    contact = view.contact
+    if contact is None:
         joints = body.skin_weights[body.faces[faces[near], 0]].argmax(axis=1)
-        bound = bound_of_joints()[joints]
-    bound = np.where(value > 0, np.maximum(bound, loosest), 1.0)
-    weights = agree * bound * _weights(apart, robust, len(view.contour))
+        contact = contact_of_joints()[joints]
+    contact = np.where(value > 0, np.maximum(contact, least_contact), 1.0)
+    weights = agree * contact * _weights(apart, robust, len(view.contour))
     gradients = -_through_camera(view.camera, places[near], view.normals) * metres[:, None]
     return Residuals(_some(points, near), value, gradients, weights)
 
@@ -76,13 +76,13 @@ def contour_distance(
 def view_misfit(
     body: BodyModel, vertices: Doubles, places: Doubles, views: list[View], robust: float
 ) -> float:
-    """One number, metres², to compare fits of the same masks by: robust contour and overhang distances."""
+    """Misfit to masks, metres²: mean robust distances of contours and of points outside of the masks."""
     total = 0.0
     normals = face_normals(vertices, body.faces)[0]
     for view in views:
-        faces, shares, directions = rim(body, vertices, normals, view.camera)
-        rim_places = np.einsum("ks,ksc->kc", shares, vertices[body.faces[faces]])
-        pixels, depth = view.camera.project(rim_places)
+        faces, shares, directions = occluding_contour(body, vertices, normals, view.camera)
+        contour_places = np.einsum("ks,ksc->kc", shares, vertices[body.faces[faces]])
+        pixels, depth = view.camera.project(contour_places)
         good = np.isfinite(pixels).all(axis=1)
         metres = float(np.median(depth)) / _focal(view.camera)
         if good.sum() < 3:
@@ -92,17 +92,17 @@ def view_misfit(
         apart = tree.query(np.concatenate([view.contour, _NORMAL_PIXELS * view.normals], axis=1))[0] * metres
         total += float((apart**2 * robust**2 / (apart**2 + robust**2)).mean())
         spots, _ = view.camera.project(places)
-        seen = view.camera.in_view(spots)
-        columns, rows = (np.where(seen, spots[:, axis], 0).astype(int) for axis in (0, 1))
-        over = np.where(seen, np.minimum(view.distance[rows, columns], 0) * metres, 0)
+        visible = view.camera.in_view(spots)
+        columns, rows = (np.where(visible, spots[:, axis], 0).astype(int) for axis in (0, 1))
+        over = np.where(visible, np.minimum(view.distance[rows, columns], 0) * metres, 0)
         total += float((over**2 * robust**2 / (over**2 + robust**2)).mean())
     return total / len(views)
 
 
-def rim(
+def occluding_contour(
     body: BodyModel, vertices: Doubles, normals: Doubles, camera: Camera
 ) -> tuple[NDArray[np.intp], Doubles, Doubles]:
-    """Where the surface turns away from a camera: faces (K,), shares (K, 3) and image directions (K, 2).
+    """The occluding contour: faces (K,), barycentric shares (K, 3) and directions in the image (K, 2).
 
     The points are the middles of edges between a face that is turned to the camera and one that is not; the
     directions are those of the surface normal in the image, pointing out of the body.

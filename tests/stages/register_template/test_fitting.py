@@ -14,11 +14,11 @@ from stages.register_template.fitting import fit_scan as rounds
 from stages.register_template.fitting.bones import State, bones_of, surface_points, vertices_of
 from stages.register_template.fitting.contours import views_of
 from stages.register_template.fitting.fit_scan import fit_scan
-from stages.register_template.fitting.fit_views import Seen, first_pose, misfit_of
+from stages.register_template.fitting.fit_views import Observation, first_pose, misfit_of
+from stages.register_template.fitting.initial_guesses import UP_AXES, initial_guesses
 from stages.register_template.fitting.prior import Prior, limits
 from stages.register_template.fitting.scan_terms import from_scan, outer_points, scan_points
-from stages.register_template.fitting.solve import Free, _moved
-from stages.register_template.fitting.starts import UP_AXES, make_starts
+from stages.register_template.fitting.solve import ActiveParameters, _moved
 from stages.register_template.hull import rough_hull
 from stages.shared.body import embedded_body, posed_joints, posed_vertices
 from stages.shared.body.skeleton import JOINT_COUNT, JOINT_INDEX, LEFT_EYE, RIGHT_EYE
@@ -67,13 +67,13 @@ def test_rows_are_finite_differences() -> None:
     body, state, random = embedded_body(), a_state(2, bend=0.5), np.random.default_rng(0)
     points = surface_points(body, random.integers(0, len(body.faces), 40), random.dirichlet([1, 1, 1], 40))
     gradients, joints = random.normal(size=(40, 3)), np.array([0, 3, 9, 13, 16, 18, 20, 25, 37])
-    free = Free(joints, np.arange(10))
-    rows = bones_of(body, state).rows(points, gradients, joints)
+    active = ActiveParameters(joints, np.arange(10))
+    rows = bones_of(body, state).jacobian(points, gradients, joints)
     here, step = bones_of(body, state).place(points), 1e-6
     for column in range(rows.shape[1]):
         change = np.zeros(rows.shape[1])
         change[column] = step
-        moved = bones_of(body, _moved(state, change, free)).place(points)
+        moved = bones_of(body, _moved(state, change, active)).place(points)
         np.testing.assert_allclose(
             ((moved - here) * gradients).sum(axis=1) / step, rows[:, column], atol=2e-5
         )
@@ -154,7 +154,7 @@ def test_a_point_inside_of_the_skin_counts_fully_and_one_outside_by_its_label() 
         shell = (vertices + offset * normals).astype(np.float32)
         scan = scan_points(Mesh(shell, body.faces, None, np.full(len(shell), label, np.uint8)), 400)
         weights = from_scan(body, vertices, scan, 0.05).weights
-        full = from_scan(body, vertices, scan.bound_at_least(1.0), 0.05).weights
+        full = from_scan(body, vertices, scan.contact_at_least(1.0), 0.05).weights
         # Folds of the skin (fingers, ears) find another side nearer.
         assert weights.sum() == pytest.approx(expected * full.sum(), abs=0.1 * full.sum())
 
@@ -163,22 +163,22 @@ def test_nothing_a_person_could_stand_in() -> None:
     flat = Mesh(np.array([[0, 0, 0], [0.2, 0, 0], [0, 0.2, 0]], np.float32), np.array([[0, 1, 2]]))
     with pytest.raises(BadData, match="nobody stands"):
         fit_scan(embedded_body(), flat, SILENT)
-    assert make_starts(embedded_body(), flat.vertices.astype(np.float64)) == []
+    assert initial_guesses(embedded_body(), flat.vertices.astype(np.float64)) == []
 
 
 def test_masks_alone_give_the_pose(tmp_path: Path) -> None:
     capture = open_capture(write_capture(tmp_path / "person"))
     take, body = capture.takes[0], embedded_body()
-    seen = Seen(views_of(take, 1, 150))
-    assert seen.views[0].bound is None  # no label images
+    observation = Observation(views_of(take, 1, 150))
+    assert observation.views[0].contact is None  # no label images
     truth = State.of(a_pose()[1])
     hull = rough_hull(take, 1, SILENT)
     hull_height = np.ptp(hull.vertices[:, 1])
     assert abs(hull_height - np.ptp(vertices_of(body, truth)[:, 1])) < 0.06
-    found = first_pose(body, hull, seen, SILENT, effort=0.5, levels=QUICK[:3])
+    found = first_pose(body, hull, observation, SILENT, effort=0.5, levels=QUICK[:3])
     assert joint_error(found, truth) < 0.025
     # Pixels of 1.4 cm: no fit can be better than the truth is.
-    assert misfit_of(body, found, seen) < 1.1 * misfit_of(body, truth, seen) + 0.002
+    assert misfit_of(body, found, observation) < 1.1 * misfit_of(body, truth, observation) + 0.002
     elsewhere = found.copy()
     elsewhere.translation[0, 0] += 0.1
-    assert misfit_of(body, elsewhere, seen) > 1.3 * misfit_of(body, found, seen)
+    assert misfit_of(body, elsewhere, observation) > 1.3 * misfit_of(body, found, observation)

@@ -11,7 +11,7 @@ import pytest
 from stages.register_template.config import RegisterTemplateConfig
 from stages.register_template.fitting.bones import State, bones_of
 from stages.register_template.fitting.fit_check import FitCheck, landmark_misfit, wrong_parts
-from stages.register_template.fitting.fit_views import Seen
+from stages.register_template.fitting.fit_views import Observation
 from stages.register_template.fitting.landmark_terms import (
     Targets,
     first_state,
@@ -92,12 +92,12 @@ def test_crossed_legs_are_recognised() -> None:
     wrong = truth.copy()
     wrong.rotations[0, JOINT_INDEX["left_hip"], 2] -= 0.5
     wrong.rotations[0, JOINT_INDEX["right_hip"], 2] += 0.5
-    seen = Seen([], landmarks=targets_of(truth))
-    assert wrong_parts(BODY, truth, 0, seen) == []
-    assert {"feet", "knees"} <= set(wrong_parts(BODY, wrong, 0, seen))
-    assert landmark_misfit(BODY, wrong, 0, seen) > 0.1 > landmark_misfit(BODY, truth, 0, seen)
+    observation = Observation([], landmarks=targets_of(truth))
+    assert wrong_parts(BODY, truth, 0, observation) == []
+    assert {"feet", "knees"} <= set(wrong_parts(BODY, wrong, 0, observation))
+    assert landmark_misfit(BODY, wrong, 0, observation) > 0.1 > landmark_misfit(BODY, truth, 0, observation)
     heard, check = Listener(), FitCheck(take())
-    check.add(BODY, 0, wrong, seen)
+    check.add(BODY, 0, wrong, observation)
     with pytest.raises(BadData, match="does not fit"):
         check.judge(wrong.betas, heard)
     assert any("feet" in text for text in heard.warnings)

@@ -11,7 +11,7 @@ import pytest
 from stages.register_template.fitting.bones import State
 from stages.register_template.fitting.contours import views_of
 from stages.register_template.fitting.fit_check import FitCheck
-from stages.register_template.fitting.fit_views import Seen
+from stages.register_template.fitting.fit_views import Observation
 from stages.register_template.frame_choice import choose_frame, openness
 from stages.register_template.hull import carve, largest_part, outward, rough_hull, smooth
 from stages.register_template.silhouettes import fewest_views, hull_field, silhouettes_of
@@ -126,7 +126,7 @@ def test_a_view_that_shows_nobody_costs_that_view_only() -> None:
     assert [view.camera.name for view in views_of(take, 0)] == [f"cam{number}" for number in range(1, 8)]
     check = FitCheck(take)
     state = State.of(take.poses[0])
-    check.add(embedded_body(), 0, state, Seen(views_of(take, 0)))
+    check.add(embedded_body(), 0, state, Observation(views_of(take, 0)))
     check.judge(np.zeros(10), heard)
     assert "cam0 in 1 frames, the first is 0" in heard.warnings[1]
     with pytest.raises(BadData, match=r"Only 2 cameras.*a hull needs 3"):

@@ -30,9 +30,9 @@ import numpy as np
 
 from stages.bake_maps.config import BakeMapsConfig
 from stages.bake_maps.grid import Grid
+from stages.bake_maps.peel import unseen_shares
 from stages.bake_maps.picture import maps_picture
 from stages.bake_maps.texels import Texels, cast_texels
-from stages.bake_maps.unseen import unseen_shares
 from stages.pipeline import BAKE_MAPS, CANONICALIZE, REGISTER_TEMPLATE, SEGMENT_LAYERS
 from stages.shared.artifacts import Inputs, StageResult, Workspace
 from stages.shared.capture import Take

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stages.bake_maps.grid import Grid
-from stages.bake_maps.peel import MOST_SHEETS, hidden_hits
-from stages.bake_maps.unseen import Exposure
+from stages.bake_maps.peel import MOST_SHEETS, Exposure, hidden_hits
 from stages.shared.errors import BadData
 from stages.shared.meshes.raycast import RayScene
 from stages.shared.meshes.topology import face_normals, vertex_normals

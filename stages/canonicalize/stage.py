@@ -23,8 +23,7 @@ from scipy.spatial import cKDTree
 
 from stages.canonicalize.config import CanonicalizeConfig
 from stages.canonicalize.shape import add_shape, canonical_body, template_shape_directions
-from stages.canonicalize.tearing import Tears, cut_tears
-from stages.canonicalize.unpose import Unposed, unpose
+from stages.canonicalize.unpose import Tears, Unposed, cut_tears, unpose
 from stages.pipeline import CANONICALIZE, REGISTER_TEMPLATE
 from stages.shared.artifacts import Inputs, StageResult, Workspace
 from stages.shared.body.inverse import forward_skin, inverse_skin

@@ -9,15 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.register_template.config import RegisterTemplateConfig
-from stages.register_template.fitting.fit_scan import fit_scan
-from stages.register_template.fitting.initial_guesses import UP_AXES
-from stages.register_template.people import two_people
-from stages.register_template.scan_cleaning import clean_scan
+from stages.register_template.fitting.fit_scan import UP_AXES, fit_scan
+from stages.register_template.scan_cleaning import clean_scan, two_people
 from stages.register_template.sources import Registration, Source
 from stages.register_template.surface import MEDIAN_BAR_M, distances, turned_upright
 from stages.shared.body import BodyModel
+from stages.shared.body.convert import turned_poses
 from stages.shared.body.posed import posed_body
-from stages.shared.body.turn import turned_poses
 from stages.shared.capture.convention import AS_IS
 from stages.shared.errors import BadData, UsageProblem
 from stages.shared.meshes.load import load_centred_mesh, load_mesh

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from stages.register_template.config import RegisterTemplateConfig
-from stages.register_template.fitting.initial_guesses import UP_AXES
+from stages.register_template.fitting.fit_scan import UP_AXES
 from stages.register_template.hull import carve, largest_part, smooth
 from stages.register_template.scan_cleaning import clean_scan
 from stages.shared.body import BodyModel

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-from stages.shared.fields.diffusion import conjugate_gradient
+from stages.shared.fields.diffusion import conjugate_gradient, graph_laplacian
 from stages.shared.meshes.regions import mesh_edges
 
 _HOLD = 30.0  # how firmly a fully trusted colour holds against its neighbours
@@ -25,15 +25,12 @@ def fill_colors(
     """
     trust = _trust(confidence)
     middle = np.median(colors[trust > 0.5], axis=0) if (trust > 0.5).any() else np.full(3, 0.5)
-    edges = mesh_edges(vertices, faces)
-    count = len(vertices)
-    links = sparse.coo_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(count, count)).tocsr()
-    links = links + links.T
+    laplacian = graph_laplacian(mesh_edges(vertices, faces), len(vertices))
     hold = _HOLD * trust
-    matrix = sparse.diags(np.asarray(links.sum(axis=1)).ravel() + hold + _SCREEN) - links
     right = hold[:, None] * colors + _SCREEN * middle
     start = np.where(trust[:, None] > 0, colors, middle)
-    return np.clip(conjugate_gradient(matrix.tocsr(), right, start, 1e-6, 600), 0.0, 1.0)
+    matrix = (laplacian + sparse.diags(hold) + _SCREEN * sparse.identity(len(vertices))).tocsr()
+    return np.clip(conjugate_gradient(matrix, right, start, 1e-6, 600), 0.0, 1.0)
 
 
 def _trust(confidence: np.ndarray) -> np.ndarray:

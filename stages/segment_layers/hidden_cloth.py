@@ -1,9 +1,9 @@
 """Cloth that no camera saw lies on the body, not where the garment over it hangs.
 
 A template is the outermost surface. A shirt that continues under a jacket borrows the jacket's faces
-(`beneath.py`). The jacket may hang centimetres away from the body, so the borrowed vertices are lowered: each
-moves to the point of the body below it, at the distance that the visible part of the shirt keeps near its
-border. The result is between the body and the cover, and as tight as the visible part.
+(`extract.faces_beneath`). The jacket may hang centimetres away from the body, so the borrowed vertices are
+lowered: each moves to the point of the body below it, at the distance that the visible part of the shirt
+keeps near its border. The result is between the body and the cover, and as tight as the visible part.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from stages.shared.fields.diffusion import conjugate_gradient
+from stages.shared.fields.diffusion import conjugate_gradient, graph_laplacian
 from stages.shared.meshes.raycast import RayScene
 from stages.shared.meshes.regions import mesh_edges
 from stages.shared.meshes.topology import vertex_normals
@@ -120,13 +120,10 @@ def continued_distance(
     visible = np.flatnonzero(~hidden)
     median = float(np.median(distance[visible])) if len(visible) else _CLEARANCE
     edges = np.concatenate([mesh_edges(vertices, faces), _links_across(vertices, hidden)])
-    count = len(vertices)
-    links = sparse.coo_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(count, count)).tocsr()
-    links = links + links.T
+    laplacian = graph_laplacian(edges, len(vertices))
     unknown = np.flatnonzero(hidden)
-    degree = np.asarray(links.sum(axis=1)).ravel()[unknown]
-    matrix = (sparse.diags(degree + _SCREEN) - links[unknown][:, unknown]).tocsr()
-    right = links[unknown][:, visible] @ distance[visible] + _SCREEN * median
+    matrix = (laplacian[unknown][:, unknown] + _SCREEN * sparse.identity(len(unknown))).tocsr()
+    right = -(laplacian[unknown][:, visible] @ distance[visible]) + _SCREEN * median
     result = distance.astype(np.float64).copy()
     start = np.full((len(unknown), 1), median)
     result[unknown] = conjugate_gradient(matrix, right[:, None], start, 1e-6, 2000)[:, 0]

@@ -28,8 +28,7 @@ from gw_cli.options import Json, Preset, Subject
 from stages.canonicalize.config import PRESETS, CanonicalizeConfig
 from stages.canonicalize.shape import add_shape, canonical_body
 from stages.canonicalize.stage import spread_body, start_weights
-from stages.canonicalize.tearing import cut_tears, edge_growth
-from stages.canonicalize.unpose import unpose
+from stages.canonicalize.unpose import cut_tears, edge_growth, unpose
 from stages.pipeline import REGISTER_TEMPLATE
 from stages.shared.artifacts import Workspace, write_whole
 from stages.shared.artifacts.canonical import readable_json

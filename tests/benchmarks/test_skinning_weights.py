@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from stages.canonicalize.config import PRESETS
-from stages.canonicalize.tearing import cut_tears, edge_growth
+from stages.canonicalize.unpose import cut_tears, edge_growth
 from stages.register_template import stage as register_template
 from stages.register_template.config import PRESETS as REGISTER
 from stages.shared.meshes.load import write_ply

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from stages.doctor.libraries import OPTIONAL
-from stages.shared.meshes.open3d_loader import SYSTEM_LIBRARIES
+from stages.shared.meshes.raycast import SYSTEM_LIBRARIES
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())

@@ -180,11 +180,6 @@ def decode_bundle(data: bytearray, where: str) -> Bundle:
     return Bundle(manifest, arrays, notes[_SEAL])
 
 
-def verify_bundle(path: Path) -> str:
-    """Read a bundle completely and return its digest; raises like `read_bundle`."""
-    return read_bundle(path).digest
-
-
 def _read(path: Path, max_bytes: int, header_only: bool = False) -> tuple[bytearray, int]:
     """All bytes of a file whose size is acceptable, or those of its header; and that size."""
     try:

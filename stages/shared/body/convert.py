@@ -1,6 +1,8 @@
-"""Poses fitted with one body model, for another model with the same vertices (gendered to neutral SMPL-X)."""
+"""Poses for another body model with the same vertices (gendered to neutral SMPL-X), or in a turned world."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,3 +82,17 @@ def _pelvis(body: BodyModel, betas: NDArray[np.floating], expression: NDArray[np
         count = min(body.joint_expression_directions.shape[-1], expression.shape[1])
         rows = rows + expression[:, :count] @ body.joint_expression_directions[0, :, :count].T
     return rows
+
+
+def turned_poses(body: BodyModel, poses: Poses, turn: NDArray[np.floating]) -> Poses:
+    """The poses whose vertices are `turn` (3, 3) times those of `poses`.
+
+    The root turns about the pelvis joint J0, not about the origin: v = R (x − J0) + J0 + τ, so the turned
+    translation is turn (J0 + τ) − J0.
+    """
+    pelvis = body.joint_template[0] + body.joint_directions[0] @ poses.betas
+    rotations = poses.rotations.copy()
+    root = Rotation.from_matrix(turn) * Rotation.from_rotvec(rotations[:, 0])
+    rotations[:, 0] = root.as_rotvec()
+    translation = (poses.translation + pelvis) @ np.asarray(turn, np.float64).T - pelvis
+    return replace(poses, rotations=rotations, translation=translation.astype(np.float32))

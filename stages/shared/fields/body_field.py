@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from stages.shared.fields.diffusion import average_neighbours, inverse_distance_matrix, spread_wide
+from stages.shared.fields.diffusion import average_neighbours, diffuse_by_distance, inverse_distance_matrix
 from stages.shared.fields.voxel_field import VoxelField, node_positions
 
 _HAND_JOINTS = range(25, 55)
@@ -38,8 +38,8 @@ class FieldConfig:
         reach_at_skin: smoothing length of "wide" on and under the skin.
         reach_per_distance: growth of that length per metre beyond `skin_distance`.
         skin_distance: up to this far from the skin only `reach_at_skin` smooths: tight cloth follows it.
-        hang: of what belongs to both legs alike, the share that "wide" gives to the pelvis: cloth between
-            the legs hangs from the waist, and its threads stretch less when the legs part.
+        pelvis_bias: share of the weight on both legs that "wide" gives to the pelvis. Cloth between the legs
+            hangs from the waist, and stretches less when the legs part.
         hand_reach: points nearer to a hand take its vertices' weights: fingers are thinner than voxels.
         eye_reach: the same for the eyeballs, which nothing but themselves should follow.
     """
@@ -53,7 +53,7 @@ class FieldConfig:
     reach_at_skin: float = 0.01
     reach_per_distance: float = 10.0
     skin_distance: float = 0.015
-    hang: float = 0.15
+    pelvis_bias: float = 0.15
     hand_reach: float = 0.03
     eye_reach: float = 0.004
 
@@ -198,11 +198,11 @@ def _spread(
         outside = np.einsum("nk,nk->n", nodes - vertices[nearest], normals[nearest]) > 0
         beyond = np.where(outside, np.maximum(distance - config.skin_distance, 0.0), 0.0)
         reach = config.reach_at_skin + config.reach_per_distance * beyond
-        return hang_between_legs(spread_wide(start, reach, band, pitch), config.hang)
+        return bias_to_pelvis(diffuse_by_distance(start, reach, band, pitch), config.pelvis_bias)
     return start
 
 
-def hang_between_legs(values: np.ndarray, share: float) -> np.ndarray:
+def bias_to_pelvis(values: np.ndarray, share: float) -> np.ndarray:
     """Values (M, C) in which weights of points between the legs are partly the pelvis's.
 
     A point with weight a on the left and b on the right leg gives up `share` · 4ab/(a + b) of it: nothing on

@@ -1,9 +1,9 @@
 """Extension of values from a surface into space: inverse distance, averaging, distance-adaptive diffusion.
 
 Inverse distance over the K nearest vertices is exact near the surface. On a dense mesh, the K neighbours
-are one small patch, so the value still jumps between two legs. `spread_wide` avoids the jump. It solves, on
-the grid, for the field that is close to the inverse-distance values near the skin and becomes smoother with
-the distance from it. A skirt between the legs then follows both legs.
+are one small patch, so the value still jumps between two legs. `diffuse_by_distance` avoids the jump. It
+solves, on the grid, for the field that is close to the inverse-distance values near the skin and becomes
+smoother with the distance from it. A skirt between the legs then follows both legs.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def average_neighbours(values: np.ndarray, iterations: int, share: float = 0.3) 
     return values
 
 
-def spread_wide(
+def diffuse_by_distance(
     values: np.ndarray,
     lengths: np.ndarray,
     band: np.ndarray,
@@ -92,17 +92,23 @@ def band_laplacian(band: np.ndarray, pitch: np.ndarray) -> sparse.csr_matrix:
     """Graph Laplacian (M, M) of 6-connected band nodes with edge weights 1/h² along each axis."""
     numbers = np.full(band.shape, -1, dtype=np.int64)
     numbers[band] = np.arange(np.count_nonzero(band))
-    sources, targets, weights = [], [], []
+    edges, weights = [], []
     for axis, step in zip((2, 1, 0), pitch, strict=True):
         low = np.moveaxis(numbers, axis, 0)[:-1].ravel()
         high = np.moveaxis(numbers, axis, 0)[1:].ravel()
         both = (low >= 0) & (high >= 0)
-        sources += [low[both]]
-        targets += [high[both]]
-        weights += [np.full(np.count_nonzero(both), 1.0 / step**2)]
-    source, target, weight = (np.concatenate(part) for part in (sources, targets, weights))
-    count = int(np.count_nonzero(band))
-    links = sparse.coo_matrix((weight, (source, target)), shape=(count, count)).tocsr()
+        edges.append(np.stack([low[both], high[both]], axis=1))
+        weights.append(np.full(np.count_nonzero(both), 1.0 / step**2))
+    return graph_laplacian(np.concatenate(edges), int(np.count_nonzero(band)), np.concatenate(weights))
+
+
+def graph_laplacian(edges: np.ndarray, count: int, weights: np.ndarray | None = None) -> sparse.csr_matrix:
+    """D − W (count, count) of undirected edges (E, 2), each listed once, with weights (E,), 1 by default.
+
+    W holds the weights of the edges, D their sums at every node.
+    """
+    weights = np.ones(len(edges)) if weights is None else weights
+    links = sparse.coo_matrix((weights, (edges[:, 0], edges[:, 1])), shape=(count, count)).tocsr()
     links = links + links.T
     return (sparse.diags(np.asarray(links.sum(axis=1)).ravel()) - links).tocsr()
 

@@ -35,14 +35,6 @@ class VoxelField:
     half_extent: np.ndarray
 
     @classmethod
-    def from_dense(cls, values: np.ndarray, centre: np.ndarray, half_extent: np.ndarray) -> VoxelField:
-        """A field from values (C, D, H, W) at every node."""
-        shape = values.shape[1:]
-        rows = np.arange(int(np.prod(shape)), dtype=np.int32).reshape(shape)
-        table = np.ascontiguousarray(values.reshape(len(values), -1).T, dtype=np.float32)
-        return cls(table, rows, np.asarray(centre, float), np.asarray(half_extent, float))
-
-    @classmethod
     def from_band(
         cls, values: np.ndarray, band: np.ndarray, centre: np.ndarray, half_extent: np.ndarray
     ) -> VoxelField:

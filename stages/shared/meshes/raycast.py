@@ -5,18 +5,62 @@ Open3D works in single precision; the results here are good to about 1e-5 of the
 
 from __future__ import annotations
 
+import ctypes
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from types import ModuleType
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stages.shared.meshes.open3d_loader import load_open3d
+from stages.shared.errors import MissingInput
 
 Floats = NDArray[np.float32]
 Ints = NDArray[np.int32]
 NO_HIT = -1
+# Libraries of the system that open3d's wheel links against, and Debian's packages of them.
+SYSTEM_LIBRARIES = {
+    "libEGL.so.1": "libegl1",
+    "libGL.so.1": "libgl1",
+    "libX11.so.6": "libx11-6",
+    "libidn2.so.0": "libidn2-0",
+    "libudev.so.1": "libudev1",
+}
+
+
+@functools.cache
+def load_open3d() -> ModuleType:
+    """The module `open3d`, imported on first use; nothing else imports it.
+
+    Its Linux wheel links against libusb (for depth cameras, which are not used here) and fails to import
+    where the system has none. The wheel `libusb-package` brings that library; it is loaded first under the
+    same soname. No wheel brings the libraries for windows (`SYSTEM_LIBRARIES`): every desktop has them, a
+    small server or container image may not.
+
+    Raises:
+        MissingInput: a library of the system that it links against is not there; names the packages.
+    """
+    try:
+        import libusb_package
+
+        ctypes.CDLL(str(libusb_package.get_library_path()), mode=ctypes.RTLD_GLOBAL)
+    except (ImportError, OSError, TypeError):
+        pass  # a system libusb serves as well; where there is neither, open3d's own error names it
+    try:
+        import open3d
+    except ModuleNotFoundError:
+        raise
+    except ImportError as error:
+        raise MissingInput(
+            f"open3d cannot be loaded: {error}.",
+            "the wheel open3d",
+            "Install the libraries that it links against: apt install "
+            + " ".join(SYSTEM_LIBRARIES.values())
+            + " (Debian, Ubuntu).",
+        ) from error
+    return open3d
 
 
 class RayCamera(Protocol):

@@ -11,8 +11,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from stages.shared.body import BodyModel, Poses, embedded_body, posed_vertices
-from stages.shared.body.convert import convert_betas, convert_poses
-from stages.shared.body.turn import turned_poses
+from stages.shared.body.convert import convert_betas, convert_poses, turned_poses
 from stages.shared.errors import BadData
 from stages.shared.poses import load_poses
 

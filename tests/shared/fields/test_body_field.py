@@ -52,7 +52,7 @@ def test_equal_values_stay_equal() -> None:
     vertices, normals, weights, directions = two_legs()
     weights[:] = weights.mean(axis=0)
     directions[:] = 0.03
-    config = FieldConfig(resolution=24, hang=0.0)
+    config = FieldConfig(resolution=24, pelvis_bias=0.0)
     field = build_body_field(vertices, normals, weights, directions, vertices[:0], config)
     found, found_directions = field.sample(vertices * 1.1)
     np.testing.assert_allclose(found, np.broadcast_to(weights[0], found.shape), atol=1e-5)
@@ -64,7 +64,7 @@ def test_wide_spread_bridges_the_gap_between_legs_and_follows_the_skin() -> None
     across = np.stack([np.linspace(-0.12, 0.12, 49), np.full(49, 0.4), np.full(49, 0.09)], axis=1)
     slopes = {}
     for spread in ("nearest", "wide"):
-        config = FieldConfig(resolution=40, spread=spread, margin=0.15, hang=0.0)
+        config = FieldConfig(resolution=40, spread=spread, margin=0.15, pelvis_bias=0.0)
         field = build_body_field(vertices, normals, weights, directions, across, config)
         left = field.weights(across)[:, LEFT]
         np.testing.assert_allclose(left, 1.0 - left[::-1], atol=0.03)

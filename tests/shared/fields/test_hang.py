@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stages.shared.fields.body_field import hang_between_legs
+from stages.shared.fields.body_field import bias_to_pelvis
 
 
 def row(pelvis: float = 0.0, left: float = 0.0, right: float = 0.0, spine: float = 0.0) -> np.ndarray:
@@ -17,13 +17,13 @@ def row(pelvis: float = 0.0, left: float = 0.0, right: float = 0.0, spine: float
 
 def test_nothing_changes_on_one_leg_or_off_the_legs() -> None:
     values = np.stack([row(left=1.0), row(0.3, right=0.7), row(spine=1.0)])
-    np.testing.assert_allclose(hang_between_legs(values, 0.5), values, atol=1e-12)
+    np.testing.assert_allclose(bias_to_pelvis(values, 0.5), values, atol=1e-12)
 
 
 @pytest.mark.parametrize("share", [0.15, 0.4])
 def test_halfway_gives_its_share_and_sums_and_other_channels_stay(share: float) -> None:
     values = np.stack([row(left=0.5, right=0.5), row(0.2, left=0.6, right=0.2)])
-    found = hang_between_legs(values, share)
+    found = bias_to_pelvis(values, share)
     assert found[0, 0] == pytest.approx(share)
     assert found[0, 4] == found[0, 2] == pytest.approx(0.5 * (1 - share))
     np.testing.assert_allclose(found[:, :55].sum(axis=1), 1.0)
@@ -39,9 +39,9 @@ def test_threads_across_the_middle_stretch_less_when_the_legs_part() -> None:
         moved = weights[:, 2] - weights[:, 4]  # the right leg goes one way, the left the other
         return float(np.diff(moved)[8:12].max())
 
-    assert largest_step(hang_between_legs(values, 0.15)) < 0.9 * largest_step(values)
+    assert largest_step(bias_to_pelvis(values, 0.15)) < 0.9 * largest_step(values)
 
 
 def test_bodies_with_other_joints_are_left_alone() -> None:
     values = np.full((3, 8), 1 / 8)
-    assert hang_between_legs(values, 0.5) is values
+    assert bias_to_pelvis(values, 0.5) is values

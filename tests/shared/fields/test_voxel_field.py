@@ -13,8 +13,8 @@ from stages.shared.fields.diffusion import (
     average_neighbours,
     band_laplacian,
     conjugate_gradient,
+    diffuse_by_distance,
     inverse_distance_matrix,
-    spread_wide,
 )
 from stages.shared.fields.voxel_field import VoxelField, nearest_rows, node_positions
 
@@ -24,7 +24,7 @@ HALF = np.array([1.0, 0.7, 0.3])
 
 def random_field(seed: int = 0, shape: tuple[int, int, int] = (5, 6, 7), channels: int = 4) -> VoxelField:
     values = np.random.default_rng(seed).normal(size=(channels, *shape)).astype(np.float32)
-    return VoxelField.from_dense(values, CENTRE, HALF)
+    return VoxelField.from_band(values.reshape(channels, -1).T, np.ones(shape, bool), CENTRE, HALF)
 
 
 def test_nodes_have_their_own_values() -> None:
@@ -114,12 +114,12 @@ def test_wide_spread_keeps_weights_convex_and_is_mirror_symmetric() -> None:
     left[..., 5] = 0.5
     values = np.stack([left.ravel(), 1.0 - left.ravel()], axis=1)
     lengths = np.full(band.size, 0.3)
-    spread = spread_wide(values, lengths, band, np.array([0.1, 0.1, 0.1]), tolerance=1e-7)
+    spread = diffuse_by_distance(values, lengths, band, np.array([0.1, 0.1, 0.1]), tolerance=1e-7)
     np.testing.assert_allclose(spread.sum(axis=1), 1.0, atol=1e-5)
     assert spread.min() > 0 and spread.max() < 1
     grid = spread[:, 0].reshape(band.shape)
     np.testing.assert_allclose(grid, 1.0 - grid[..., ::-1], atol=1e-5)
     steps = np.diff(grid[1, 2])
     assert np.abs(steps).max() < 0.25, "the jump of 1 over one cell has become a slope"
-    short = spread_wide(values, np.full(band.size, 1e-3), band, np.array([0.1, 0.1, 0.1]))
+    short = diffuse_by_distance(values, np.full(band.size, 1e-3), band, np.array([0.1, 0.1, 0.1]))
     np.testing.assert_allclose(short, values, atol=1e-3)

@@ -13,7 +13,7 @@ from types import ModuleType
 import pytest
 
 from stages.shared.errors import MissingInput
-from stages.shared.meshes.open3d_loader import SYSTEM_LIBRARIES, load_open3d
+from stages.shared.meshes.raycast import SYSTEM_LIBRARIES, load_open3d
 
 # In every Linux that runs Python, or brought by a wheel.
 ALWAYS = ("libc.", "libm.", "libstdc++.", "libgcc_s.", "libpthread.", "libdl.", "ld-linux", "libusb-1.0.")

@@ -10,9 +10,9 @@ from typer.testing import CliRunner
 
 from gw_cli.app import app
 from stages.bake_maps.config import BakeMapsConfig
+from stages.bake_maps.peel import unseen_shares
 from stages.bake_maps.stage import sheets_needed
 from stages.bake_maps.texels import cast_texels
-from stages.bake_maps.unseen import unseen_shares
 from stages.shared.plan import Plan
 from stages.shared.texel_maps import neighbour_texels, seam_pairs, texel_numbers
 from tests.stages.bake_maps.test_texels import RADIUS, grid, sphere

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from stages.bake_maps.grid import Grid
+from stages.bake_maps.peel import sphere_directions, surface_points, unseen_shares
 from stages.bake_maps.picture import maps_picture
 from stages.bake_maps.texels import Texels, cast_texels
-from stages.bake_maps.unseen import sphere_directions, surface_points, unseen_shares
 from stages.shared.errors import BadData
 from stages.shared.texel_maps import initial_sigma, neighbour_texels, seam_pairs, texel_numbers
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from stages.canonicalize.shape import add_shape, canonical_body, template_shape_directions
-from stages.canonicalize.tearing import cut_tears
+from stages.canonicalize.unpose import cut_tears
 from stages.shared.body.canonical import canonical_from_rest
 from stages.shared.body.kinematics import shaped_vertices, skin
 from stages.shared.body.load import embedded_body

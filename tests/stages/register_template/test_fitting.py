@@ -13,9 +13,8 @@ from scipy.spatial.transform import Rotation
 from stages.register_template.fitting import fit_scan as rounds
 from stages.register_template.fitting.bones import State, bones_of, surface_points, vertices_of
 from stages.register_template.fitting.contours import views_of
-from stages.register_template.fitting.fit_scan import fit_scan
+from stages.register_template.fitting.fit_scan import UP_AXES, fit_scan, initial_guesses
 from stages.register_template.fitting.fit_views import Observation, first_pose, misfit_of
-from stages.register_template.fitting.initial_guesses import UP_AXES, initial_guesses
 from stages.register_template.fitting.prior import Prior, limits
 from stages.register_template.fitting.scan_terms import from_scan, outer_points, scan_points
 from stages.register_template.fitting.solve import ActiveParameters, _moved

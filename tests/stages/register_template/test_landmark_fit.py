@@ -75,7 +75,7 @@ def test_residuals_are_distances_and_their_slopes_finite_differences() -> None:
     state, targets = standing(), targets_of(standing(0))
     one = landmark_residuals(BODY, state, 0, targets, 4)
     joints = np.arange(22)
-    rows = bones_of(BODY, state).rows(one.points, one.gradients, joints)
+    rows = bones_of(BODY, state).jacobian(one.points, one.gradients, joints)
     moved = state.copy()
     moved.translation[0, 1] += 1e-4
     after = landmark_residuals(BODY, moved, 0, targets, 4)

@@ -19,7 +19,9 @@ def _sampled(metres: float, random: np.random.Generator) -> Inputs:
 
 
 def _sample(a: dict[str, Any]) -> np.ndarray:
-    field = VoxelField.from_dense(a["values"], np.zeros(3), np.ones(3))
+    values = a["values"]
+    everywhere = np.ones(values.shape[1:], bool)
+    field = VoxelField.from_band(values.reshape(len(values), -1).T, everywhere, np.zeros(3), np.ones(3))
     return field.sample(a["points"])
 
 

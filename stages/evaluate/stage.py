@@ -30,7 +30,7 @@ from stages.evaluate.sharding import (
 )
 from stages.evaluate.source import Source
 from stages.evaluate.subject import SubjectSource
-from stages.shared.artifacts.canonical import plain, readable_json
+from stages.shared.artifacts.canonical import readable_json, to_json
 from stages.shared.artifacts.external import file_digest
 from stages.shared.artifacts.files import write_whole
 from stages.shared.losses.perceptual import Perceptual
@@ -121,7 +121,7 @@ def _write(
 ) -> None:
     """Write means and the scores of every view. Perceptual weights are named by their digest."""
     write_whole(folder / "views.json", readable_json(rows))
-    content = {"format": MARK, "version": 1, "config": plain(config), **summary}
+    content = {"format": MARK, "version": 1, "config": to_json(config), **summary}
     if perceptual_weights:
         content["perceptual_digest"] = file_digest(perceptual_weights)
     write_whole(folder / RESULT_NAME, readable_json(content))

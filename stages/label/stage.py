@@ -28,7 +28,7 @@ from stages.label.place import place_shares
 from stages.label.strokes import FORMAT, stroke_labels
 from stages.pipeline import LABEL, REGISTER_TEMPLATE
 from stages.shared.artifacts import Artifact, ExternalFiles, Workspace
-from stages.shared.artifacts.result import StageResult
+from stages.shared.artifacts.spec import StageResult
 from stages.shared.body.model import BodyModel
 from stages.shared.capture import Take, label_picture
 from stages.shared.capture.projection import project_colors

@@ -11,9 +11,13 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from threading import Event
 
 from stages.shared.errors import GwError
 from stages.workflows.command import Outcome
+
+_THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+_PAUSE = 0.05  # seconds between two looks at a command that may be cancelled
 
 
 class CommandFailed(GwError):
@@ -36,13 +40,20 @@ class CommandFailed(GwError):
         self.exit_code = exit_code
 
 
-def run_command(*arguments: str | Path, folder: Path | None = None, module: str = "gw_cli") -> Outcome:
-    """Run `gw` (or another module) with these arguments and `--json`, in `folder` if one is given.
+def run_command(
+    *arguments: str | Path,
+    folder: Path | None = None,
+    threads: int | None = None,
+    cancelled: Event | None = None,
+    module: str = "gw_cli",
+) -> Outcome:
+    """Run `gw` (or another module) with these arguments and `--json`; see `RunCommand`.
 
     Raises:
-        CommandFailed: the command failed.
+        CommandFailed: the command failed or was cancelled.
     """
     words = [str(argument) for argument in arguments]
+    limits = {} if threads is None else dict.fromkeys(_THREADS, str(threads))
     started = time.monotonic()
     with tempfile.TemporaryFile("w+") as stdout:
         process = subprocess.Popen(
@@ -50,9 +61,14 @@ def run_command(*arguments: str | Path, folder: Path | None = None, module: str 
             stdout=stdout,
             stderr=subprocess.DEVNULL,
             cwd=folder,
+            env={**limits, **os.environ},
         )
         # wait4 and not wait: it gives the peak memory of this one child.
-        _, status, usage = os.wait4(process.pid, 0)
+        pid, status, usage = os.wait4(process.pid, 0 if cancelled is None else os.WNOHANG)
+        while cancelled is not None and pid == 0:
+            if cancelled.wait(_PAUSE):
+                process.terminate()
+            pid, status, usage = os.wait4(process.pid, 0 if cancelled.is_set() else os.WNOHANG)
         process.returncode = os.waitstatus_to_exitcode(status)
         stdout.seek(0)
         printed = stdout.read()

@@ -8,37 +8,32 @@ from typing import Annotated, Any
 
 import typer
 
+from gw_cli.config_options import config_options
 from gw_cli.console import Console, command
-from gw_cli.options import Device, DryRun, Json, Preset, Seed
+from gw_cli.options import DryRun, Json
+from stages.workflows.demo.recipe import PRESETS, DemoConfig
 
 
 def register(app: typer.Typer) -> None:
     @app.command("demo")
     @command
+    @config_options(PRESETS, "draft")
     def demo(
         output: Annotated[Path, typer.Option("-o", "--output", help="Folder of the demo.")] = Path("demo"),
-        preset: Preset = "draft",
-        steps: Annotated[
-            int | None,
-            typer.Option(min=1, help="Optimiser steps per subject; draft takes 1000 when absent."),
-        ] = None,
-        seed: Seed = 0,
-        device: Device = "auto",
+        config: DemoConfig = PRESETS["draft"],
         dry_run: DryRun = False,
         as_json: Json = False,
     ) -> None:
         """Synthesise two subjects, learn both, and let one wear the other's skirt.
 
         Needs no input and no network. Every step is an ordinary `gw` command, shown on the page
-        `index.html` in the output folder with its pictures, scores and timings. Steps that are done
-        are not run again.
+        `index.html` in the output folder with its pictures, scores and timings. The two subjects are
+        learned at the same time. Steps that are done are not run again.
         """
         from stages.shared.device import check_device
-        from stages.workflows.demo.config import DemoConfig
 
         console = Console(as_json)
-        check_device(device)
-        config = DemoConfig(preset=preset, seed=seed, train_steps=steps, device=device)
+        check_device(config.device)
 
         console.loading()
         from gw_cli.child import run_command

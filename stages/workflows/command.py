@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Event
 from typing import Any, Protocol
 
 
@@ -21,6 +22,17 @@ class Outcome:
 
 
 class RunCommand(Protocol):
-    """Runs `gw` with these arguments, in `folder` if one is given; raises a `GwError` when it fails."""
+    """Runs `gw` with these arguments; raises a `GwError` when it fails.
 
-    def __call__(self, *arguments: str | Path, folder: Path | None = None) -> Outcome: ...
+    Arguments:
+        folder: working folder. threads: at most so many, unless the environment says otherwise.
+        cancelled: ends the command when it is set.
+    """
+
+    def __call__(
+        self,
+        *arguments: str | Path,
+        folder: Path | None = None,
+        threads: int | None = None,
+        cancelled: Event | None = None,
+    ) -> Outcome: ...

@@ -11,10 +11,13 @@ import math
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
+
 from stages.shared.artifacts import write_whole
-from stages.workflows.demo.config import DemoConfig
-from stages.workflows.demo.contact_sheet import write_contact_sheet
-from stages.workflows.demo.recipe import DemoOutcome
+from stages.shared.artifacts.pictures import encode_png
+from stages.shared.pictures.sheet import contact_sheet, shrunk
+from stages.workflows.demo.recipe import DemoConfig, DemoOutcome
 
 _STYLE = """
 :root { color-scheme: light dark; --ink: #1c1c1e; --paper: #fbfaf7; --line: #d9d6cf; --soft: #6a6862; --code: #f0eee8 }
@@ -31,7 +34,7 @@ th:first-child, td:first-child { text-align: left }
 section { border-top: 1px solid var(--line); padding-top: 1rem; margin-top: 1.5rem }
 details { margin-top: .75rem } summary { cursor: pointer }
 .pictures { display: grid; grid-template-columns: repeat(auto-fit, minmax(18rem, 1fr)); gap: 1rem; margin-top: .75rem }
-figure { margin: 0 }
+figure { margin: 0 } iframe { width: 100%; height: 36rem; border: 0; margin-top: 1rem }
 """  # noqa: E501
 
 _SCORES = {
@@ -55,16 +58,17 @@ _GO_ON = {
 }  # fmt: skip
 
 
-def write_page(folder: Path, config: DemoConfig, outcomes: list[DemoOutcome]) -> Path:
-    """Write `index.html` and `contact_sheet.png`; return the page's path."""
-    write_contact_sheet(folder, outcomes)
-    total = sum(outcome.seconds for outcome in outcomes)
+def write_page(folder: Path, config: DemoConfig, outcomes: list[DemoOutcome], seconds: float) -> Path:
+    """Write `index.html` and `contact_sheet.png`; return the page's path. `seconds`: of the whole run."""
+    _write_contact_sheet(folder, outcomes)
+    before = sum(outcome.reused for outcome in outcomes)
     body = [
         "<h1>Gaussian Wardrobe: the demo</h1>",
         f'<p class="soft">Preset {html.escape(config.preset)}, seed {config.seed}. '
-        f"{len(outcomes)} commands, {total / 60:.1f} minutes of work on this machine. "
+        f"{len(outcomes)} commands, {before} of them done before; this run took {seconds / 60:.1f} minutes. "
         "Nothing was downloaded: both people are synthetic.</p>",
         _films(folder, outcomes),
+        _clip(folder),
         _outfits(folder, outcomes),
         "<h2>How good is it?</h2>",
         "<p>A novel view is a camera that was held out, a novel pose a motion that training did not see. "
@@ -103,6 +107,29 @@ def _films(folder: Path, outcomes: list[DemoOutcome]) -> str:
         if picture.endswith((".mp4", ".webm"))
     ]
     return f'<div class="pictures">{"".join(figures)}</div>'
+
+
+def _clip(folder: Path) -> str:
+    """The clip that can be turned while it plays."""
+    if not (folder / "clip.html").exists():
+        return ""
+    return (
+        '<iframe src="clip.html" title="the try-on, to be turned" loading="lazy"></iframe>'
+        '<p class="soft">Drag to look from another side. <a href="clip.html">On a page of its own</a>.</p>'
+    )
+
+
+def _write_contact_sheet(folder: Path, outcomes: list[DemoOutcome]) -> None:
+    """The last picture of each step that left one, in order."""
+    pictures, captions = [], []
+    for outcome in outcomes:
+        names = [name for name in outcome.pictures(folder) if name.endswith(".png")]
+        picture = cv2.imread(str(folder / names[-1]), cv2.IMREAD_COLOR) if names else None
+        if picture is not None:
+            pictures.append(shrunk(np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB), np.uint8), 480))
+            captions.append(f"{outcome.step.title} {outcome.step.subject}".strip())
+    if pictures:
+        write_whole(folder / "contact_sheet.png", encode_png(contact_sheet(pictures, 4, captions)))
 
 
 def _outfits(folder: Path, outcomes: list[DemoOutcome]) -> str:

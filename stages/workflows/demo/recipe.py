@@ -5,7 +5,23 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from stages.workflows.demo.config import DemoConfig
+from stages.shared.option import option
+
+SUBJECTS = ("subject_1", "subject_2")
+
+
+@dataclass(frozen=True)
+class DemoConfig:
+    """Size and seed of the demo. The help of each field is in its metadata."""
+
+    preset: str = "draft"
+    steps: int | None = option(None, "Optimiser steps per subject; draft takes 1000 when absent.", min=1)
+    seed: int = option(0, "Seed of everything random.", min=0)
+    device: str = option("auto", "auto | cpu | cuda.", choices=("auto", "cpu", "cuda"))
+
+
+PRESETS = {name: DemoConfig(name) for name in ("tiny", "draft", "balanced", "paper")}
+PRESETS["draft"] = DemoConfig(steps=1000)
 
 
 @dataclass(frozen=True)
@@ -18,7 +34,7 @@ class DemoStep:
         arguments: the command line after `gw`, paths relative to the demo folder.
         outputs: files or folders it must leave, relative to the demo folder.
         pictures: files worth looking at, as glob patterns relative to the demo folder.
-        subject: "subject_1", "subject_2" or "" where it concerns both.
+        subject: one of SUBJECTS, or "" where it concerns both.
     """
 
     title: str
@@ -45,93 +61,74 @@ class DemoOutcome:
 
     def pictures(self, folder: Path) -> list[str]:
         """Existing files that match the step's patterns, relative to `folder`."""
-        found: list[str] = []
-        for pattern in self.step.pictures:
-            found += sorted(str(path.relative_to(folder)) for path in folder.glob(pattern))
-        return found
+        return [
+            str(path.relative_to(folder))
+            for pattern in self.step.pictures
+            for path in sorted(folder.glob(pattern))
+        ]
 
 
 def steps(config: DemoConfig) -> list[DemoStep]:
     """The whole chain on both subjects, then the exchange: subject 2 wears subject 1's skirt."""
-    chain = [_synthesise(config)]
-    for subject in ("subject_1", "subject_2"):
-        chain += _learn(subject, config)
-    return chain + _exchange(config)
+    learned = [step for subject in SUBJECTS for step in learn(subject, config)]
+    return [*synthesise(config), *learned, *exchange(config)]
 
 
-def _synthesise(config: DemoConfig) -> DemoStep:
-    return DemoStep(
+def synthesise(config: DemoConfig) -> list[DemoStep]:
+    """Both captures."""
+    step = DemoStep(
         "Two synthetic subjects",
         "Bodies of different shape, simulated garments, nine cameras, exact masks, labels and poses.",
         ("synth", "synthetic", "--preset", config.preset, "--seed", str(config.seed)),
         ("synthetic/subject_1", "synthetic/subject_2", "synthetic/tryon_truth"),
         ("synthetic/*.png",),
     )
+    return [step]
 
 
-def _learn(subject: str, config: DemoConfig) -> list[DemoStep]:
+_STAGES = {
+    "register-template": "A template mesh of the first frame, and the body that fits into the masks.",
+    "canonicalize": "The template in the canonical pose with the subject's shape taken out.",
+    "segment-layers": "One mesh per layer, from the label images of all cameras.",
+    "bake-maps": "Front and back maps of each layer: every texel becomes a Gaussian.",
+    "train": "Networks that turn the pose into Gaussian attributes, trained on the images.",
+    "fit-cloth": "A simulation mesh and a material per garment; the best driver becomes its default.",
+}
+_BUNDLES = {
+    "subject_1": {"lower": "skirt", "upper": "top", "body": "body_1"},
+    "subject_2": {"upper": "shirt", "outer": "vest", "lower": "trousers", "body": "body_2"},
+}
+
+
+def learn(subject: str, config: DemoConfig) -> list[DemoStep]:
+    """From the capture of one subject to its bundles."""
     preset = ("--preset", config.preset)
-    train_options: tuple[str, ...] = preset + ("--seed", str(config.seed), "--device", config.device)
+    options = {
+        "register-template": (f"synthetic/{subject}", "-o", subject, *preset),
+        "train": (subject, *preset, "--seed", str(config.seed), "--device", config.device),
+        "fit-cloth": (subject, *preset, "--materials", "tight,full_skirt"),
+    }
     if config.steps is not None:
-        train_options += ("--steps", str(config.steps))
-    table: list[tuple[str, str, tuple[str, ...], str]] = [
-        (
-            "register-template",
-            "A template mesh of the first frame and the body fit; the body must lie inside the masks.",
-            (f"synthetic/{subject}", "-o", subject, *preset),
-            "*.png",
-        ),
-        (
-            "canonicalize",
-            "The template in the canonical pose with the subject's shape taken out.",
-            (subject, *preset),
-            "*.png",
-        ),
-        (
-            "segment-layers",
-            "One mesh per layer, from the label images of all cameras.",
-            (subject, *preset),
-            "*.png",
-        ),
-        (
-            "bake-maps",
-            "Front and back maps of each layer: every texel becomes a Gaussian.",
-            (subject, *preset),
-            "*.png",
-        ),
-        (
-            "train",
-            "Networks that turn the pose into Gaussian attributes, trained on the images.",
-            (subject, *train_options),
-            "previews/*.png",
-        ),
-        (
-            "fit-cloth",
-            "Every garment gets a simulation mesh and a material; the best driver in left-out parts becomes "
-            "its default.",
-            (subject, *preset, "--materials", "tight,full_skirt"),
-            "*.png",
-        ),
-    ]
+        options["train"] += ("--steps", str(config.steps))
     chain = [
-        DemoStep(name, sentence, (name, *arguments), (f"{subject}/{name}/current.json",),
-                 (f"{subject}/{name}/*/{pattern}",), subject)
-        for name, sentence, arguments, pattern in table
-    ]  # fmt: skip
-    chain.append(
         DemoStep(
-            "evaluate",
-            "Held-out poses and the held-out camera, beside the template that learned nothing.",
-            ("evaluate", subject, "-o", f"evaluation/{subject}", *preset),
-            (f"evaluation/{subject}",),
-            (f"evaluation/{subject}/*.png",),
+            name,
+            sentence,
+            (name, *options.get(name, (subject, *preset))),
+            (f"{subject}/{name}/current.json",),
+            (f"{subject}/{name}/*/{'previews/' if name == 'train' else ''}*.png",),
             subject,
         )
+        for name, sentence in _STAGES.items()
+    ]
+    evaluate = DemoStep(
+        "evaluate",
+        "Held-out poses and the held-out camera, next to the template that learned nothing.",
+        ("evaluate", subject, "-o", f"evaluation/{subject}", *preset),
+        (f"evaluation/{subject}",),
+        (f"evaluation/{subject}/*.png",),
+        subject,
     )
-    return chain
-
-
-def _exchange(config: DemoConfig) -> list[DemoStep]:
     exports = [
         DemoStep(
             "export-garment",
@@ -141,22 +138,18 @@ def _exchange(config: DemoConfig) -> list[DemoStep]:
             (),
             subject,
         )
-        for subject, layer, name in (
-            ("subject_1", "lower", "skirt"),
-            ("subject_2", "upper", "shirt"),
-            ("subject_2", "outer", "vest"),
-            ("subject_2", "body", "body_2"),
-            ("subject_1", "body", "body_1"),
-            ("subject_1", "upper", "top"),
-            ("subject_2", "lower", "trousers"),
-        )
+        for layer, name in _BUNDLES[subject].items()
     ]
+    return [*chain, evaluate, *exports]
+
+
+def exchange(config: DemoConfig) -> list[DemoStep]:
+    """Subject 2 in other clothes: films, a page with a clip, every outfit, and the score of the try-on."""
     outfit = tuple(f"wardrobe/{name}.gwg" for name in ("body_2", "shirt", "vest", "skirt"))
-    swapped = tuple(f"wardrobe/{name}.gwg" for name in ("body_2", "top", "trousers"))
+    changed = tuple(f"wardrobe/{name}.gwg" for name in ("body_2", "top", "trousers"))
     showcase = ("--poses", "synthetic/motions/showcase.npz", "--preset", config.preset)
     motion = ("--poses", "synthetic/motions/held_out.npz")
     return [
-        *exports,
         DemoStep(
             "tryon",
             "Subject 2 in subject 1's skirt, with its own shirt and vest, in a motion of no training take.",
@@ -167,9 +160,15 @@ def _exchange(config: DemoConfig) -> list[DemoStep]:
         DemoStep(
             "change of clothes",
             "The same motion goes on; subject 2 wears its trousers and subject 1's T-shirt.",
-            ("tryon", *swapped, *showcase, "--frames", "120:210", "-o", "tryon_changed"),
+            ("tryon", *changed, *showcase, "--frames", "120:210", "-o", "tryon_changed"),
             ("tryon_changed/result.json",),
             ("tryon_changed/*.mp4", "tryon_changed/*.webm"),
+        ),
+        DemoStep(
+            "clip",
+            "The try-on as a page of its own: it plays, and you can look from any side.",
+            ("render", *outfit, *showcase, "--frames", "0:120:2", "--html", "clip.html"),
+            ("clip.html",),
         ),
         DemoStep(
             "wardrobe",
@@ -187,9 +186,11 @@ def _exchange(config: DemoConfig) -> list[DemoStep]:
         DemoStep(
             "evaluate the try-on",
             "Against the truth: the skirt simulated on subject 2's body.",
-            ("evaluate", "--frames", "tryon_cameras", "--truth", "synthetic/tryon_truth",
-             "-o", "evaluation/tryon"),
+            (
+                *("evaluate", "--frames", "tryon_cameras", "--truth", "synthetic/tryon_truth"),
+                *("-o", "evaluation/tryon"),
+            ),
             ("evaluation/tryon",),
             ("evaluation/tryon/*.png",),
         ),
-    ]  # fmt: skip
+    ]

@@ -4,16 +4,21 @@ Reads nothing. Writes into the demo folder: what every command writes (`syntheti
 `subject_2/`, `wardrobe/`, `tryon/`, `evaluation/`), `steps.json` (command, seconds, peak bytes and
 result of each step), `contact_sheet.png` and `index.html`.
 
-Every step is a child process that runs the very command shown on the page. A step whose command and
-whose predecessors' results have not changed is not run again.
+Every step is a child process that runs the very command shown on the page. The two subjects are learned at
+the same time, each on half of the cores. A step is not run again when neither its command nor the results
+before it have changed.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass
+import os
+import time
+from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
+from dataclasses import dataclass, field
 from pathlib import Path
+from threading import Event, Lock
 from typing import Any
 
 from stages.shared.artifacts import write_whole
@@ -22,11 +27,19 @@ from stages.shared.plan import Plan
 from stages.shared.report import SILENT, Report
 from stages.shared.targets import check_folder_target
 from stages.workflows.command import RunCommand
-from stages.workflows.demo.config import DemoConfig
 from stages.workflows.demo.page import write_page
-from stages.workflows.demo.recipe import DemoOutcome, DemoStep, steps
+from stages.workflows.demo.recipe import (
+    SUBJECTS,
+    DemoConfig,
+    DemoOutcome,
+    DemoStep,
+    exchange,
+    learn,
+    steps,
+    synthesise,
+)
 
-# Fields of a result that tell about this run and not about what it made.
+# Fields of a result that describe the run and not what it made.
 _PASSING = ("seconds", "peak_bytes", "reused")
 
 
@@ -56,22 +69,75 @@ def run(folder: Path, config: DemoConfig, run_command: RunCommand, report: Repor
     """
     check_folder_target(folder)
     make_folders(folder)
-    known = _read_known(folder)
-    chain = steps(config)
-    outcomes: list[DemoOutcome] = []
-    key = ""
-    for number, step in enumerate(chain, 1):
-        report.step(f"[{number}/{len(chain)}] {step.command}")
-        key = _key(key, step)
-        outcome = _reuse(folder, step, known.get(key)) or _run_step(folder, step, run_command)
-        outcomes.append(outcome)
-        known[key] = {"command": step.command, "seconds": outcome.seconds,
-                      "peak_bytes": outcome.peak_bytes, "result": outcome.result}  # fmt: skip
-        write_whole(folder / "steps.json", json.dumps(known, indent=1, sort_keys=True).encode())
-        key = _key(key, step, outcome.result)
-        report.say(f"{outcome.seconds:.1f} s" + (" (done before)" if outcome.reused else ""))
-    page = write_page(folder, config, outcomes)
-    return DemoResult(page, _summary(page, outcomes))
+    started = time.monotonic()
+    runner = _Runner(folder, run_command, report, len(steps(config)), _read_known(folder))
+    captures, key = runner.chain(synthesise(config), "")
+    cores = os.cpu_count() or 1
+    with ThreadPoolExecutor(min(cores, len(SUBJECTS))) as pool:
+        share = max(1, cores // len(SUBJECTS))
+        chains = [pool.submit(runner.chain, learn(subject, config), key, share) for subject in SUBJECTS]
+        try:
+            for chain in wait(chains, return_when=FIRST_EXCEPTION).done:
+                chain.result()
+        except BaseException:
+            runner.cancelled.set()
+            raise
+    learned, keys = zip(*(chain.result() for chain in chains), strict=True)
+    changed, _ = runner.chain(exchange(config), "".join(keys))
+    outcomes = [*captures, *(outcome for outcomes in learned for outcome in outcomes), *changed]
+    seconds = time.monotonic() - started
+    page = write_page(folder, config, outcomes, seconds)
+    return DemoResult(page, _summary(page, outcomes, seconds))
+
+
+@dataclass(eq=False)
+class _Runner:
+    """Runs steps and keeps `steps.json`."""
+
+    folder: Path
+    run_command: RunCommand
+    report: Report
+    total: int
+    known: dict[str, Any]
+    number: int = 0
+    cancelled: Event = field(default_factory=Event)
+    lock: Lock = field(default_factory=Lock)
+
+    def chain(
+        self, steps: list[DemoStep], key: str, threads: int | None = None
+    ) -> tuple[list[DemoOutcome], str]:
+        """Outcomes of steps that build on each other, and the key of what they made."""
+        outcomes = []
+        for step in steps:
+            with self.lock:
+                self.number += 1
+                self.report.step(f"[{self.number}/{self.total}] {step.command}")
+            key = _key(key, step)
+            outcome = self._reuse(step, self.known.get(key)) or self._run(step, threads)
+            outcomes.append(outcome)
+            with self.lock:
+                self.known[key] = {"command": step.command, "seconds": outcome.seconds,
+                                   "peak_bytes": outcome.peak_bytes, "result": outcome.result}  # fmt: skip
+                write_whole(
+                    self.folder / "steps.json", json.dumps(self.known, indent=1, sort_keys=True).encode()
+                )
+                before = " (done before)" if outcome.reused else ""
+                self.report.say(
+                    f"{step.arguments[0]} {step.subject}".strip() + f": {outcome.seconds:.1f} s{before}"
+                )
+            key = _key(key, step, outcome.result)
+        return outcomes, key
+
+    def _run(self, step: DemoStep, threads: int | None) -> DemoOutcome:
+        made = self.run_command(
+            *step.arguments, folder=self.folder, threads=threads, cancelled=self.cancelled
+        )
+        return DemoOutcome(step, made.seconds, made.peak_bytes, made.result)
+
+    def _reuse(self, step: DemoStep, known: dict[str, Any] | None) -> DemoOutcome | None:
+        if known is None or not all((self.folder / output).exists() for output in step.outputs):
+            return None
+        return DemoOutcome(step, known["seconds"], known["peak_bytes"], known["result"], reused=True)
 
 
 def _key(previous: str, step: DemoStep, result: dict[str, Any] | None = None) -> str:
@@ -89,18 +155,7 @@ def _read_known(folder: Path) -> dict[str, Any]:
     return known if isinstance(known, dict) else {}
 
 
-def _reuse(folder: Path, step: DemoStep, known: dict[str, Any] | None) -> DemoOutcome | None:
-    if known is None or not all((folder / output).exists() for output in step.outputs):
-        return None
-    return DemoOutcome(step, known["seconds"], known["peak_bytes"], known["result"], reused=True)
-
-
-def _run_step(folder: Path, step: DemoStep, run_command: RunCommand) -> DemoOutcome:
-    made = run_command(*step.arguments, folder=folder)
-    return DemoOutcome(step, made.seconds, made.peak_bytes, made.result)
-
-
-def _summary(page: Path, outcomes: list[DemoOutcome]) -> dict[str, Any]:
+def _summary(page: Path, outcomes: list[DemoOutcome], seconds: float) -> dict[str, Any]:
     scores = {
         " ".join((outcome.step.title, outcome.step.subject)).strip(): outcome.result
         for outcome in outcomes
@@ -108,7 +163,7 @@ def _summary(page: Path, outcomes: list[DemoOutcome]) -> dict[str, Any]:
     }
     return {
         "page": str(page),
-        "seconds": sum(outcome.seconds for outcome in outcomes),
+        "seconds": seconds,
         "peak_bytes": max(outcome.peak_bytes for outcome in outcomes),
         "scores": scores,
     }

@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from gw_cli.config_options import config_options
 from gw_cli.console import Console, command
-from gw_cli.options import DryRun, Json, Preset, Seed, preset_config
+from gw_cli.options import DryRun, Json
+from stages.synth.config import PRESETS, SynthConfig
 
 
 def register(app: typer.Typer) -> None:
     @app.command("synth")
     @command
+    @config_options(PRESETS, "draft")
     def synth(
         output: Annotated[Path, typer.Argument(help="Folder to write the captures to.", metavar="OUT")],
-        preset: Preset = "draft",
-        seed: Seed = 0,
+        config: SynthConfig = PRESETS["draft"],
         dry_run: DryRun = False,
         as_json: Json = False,
     ) -> None:
@@ -30,11 +31,7 @@ def register(app: typer.Typer) -> None:
         OUT/motions/held_out.npz its motion. OUT/inner_truth is subject 2 without the vest, in some frames of
         the training motion. Garments are simulated cloth; the same seed gives the same files.
         """
-        from stages.synth.config import PRESETS
-
         console = Console(as_json)
-        config = dataclasses.replace(preset_config(PRESETS, preset), seed=seed)
-
         console.loading()
         from stages.synth import stage
 

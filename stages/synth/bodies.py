@@ -11,13 +11,17 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from stages.shared.body import JOINT_INDEX, BodyModel, Poses, bone_transforms, shaped_joints, skin
 from stages.shared.body.skeleton import PARENTS
+from stages.shared.meshes import edges
+from stages.synth.offset_surface import border_vertices, neighbour_mean
 
 Doubles = NDArray[np.float64]
 
 TORSO = ("pelvis", "spine1", "spine2", "spine3")
+_HAND_PARTS = ("wrist", "thumb", "index", "middle", "ring", "pinky")
 LEGS = ("left_hip", "right_hip", "left_knee", "right_knee")
 # Keeps the coefficients near what the population has; larger gives milder bodies.
 _PRIOR = 0.004
@@ -138,3 +142,25 @@ class ShapedBody:
         for transforms in self.transforms(poses.rotations, poses.translation):
             frames.append(self.pose(self.rest_vertices, self.weights, transforms).astype(np.float32))
         return np.stack(frames)
+
+    def transfer(self, points: Doubles, faces: NDArray[np.int64], values: Doubles) -> Doubles:
+        """(V, K) values of this body's vertices (B, K) at points (V, 3) of a mesh around its rest pose.
+
+        They are averaged by inverse squared distance over 24 vertices of the body without hands, then
+        smoothed over the mesh with faces (F, 3).
+        """
+        names = self.model.joint_names
+        hands = [joint for joint, name in enumerate(names) if any(part in name for part in _HAND_PARTS)]
+        usable = np.flatnonzero(~np.isin(self.weights.argmax(axis=1), hands))
+        distance, nearest = cKDTree(self.rest_vertices[usable]).query(points, k=24)
+        share = 1.0 / np.maximum(distance, 1e-3) ** 2
+        share /= share.sum(axis=1, keepdims=True)
+        transferred = np.einsum("vk,vkc->vc", share, values[usable[nearest]])
+        all_edges = edges(faces)
+        average = neighbour_mean(len(points), all_edges)
+        border = border_vertices(len(points), faces)
+        along = neighbour_mean(len(points), all_edges[border[all_edges].all(axis=1)])
+        for _ in range(25):
+            mean = np.where(border[:, None], along @ transferred, average @ transferred)
+            transferred = 0.5 * transferred + 0.5 * mean
+        return transferred

@@ -4,38 +4,30 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from stages.shared.option import option
+
 
 @dataclass(frozen=True)
 class SynthConfig:
     """How large the synthetic captures are; every size is independent of the others.
 
-    Attributes:
-        image_size: width and height of every image, pixels.
-        supersample: rays per pixel along each side.
-        cameras: training cameras on the ring; one more between two of them is held out.
-        train_images: frames of the training take that have images.
-        train_stride: simulated frames (1/30 s) from one training image to the next.
-        test_images: frames of the held-out take that have images.
-        test_stride: simulated frames from one held-out image to the next.
-        cloth_spacing: distance of neighbouring cloth vertices, metres.
-        substeps: cloth simulation steps per frame of 1/30 s.
-        ambient_rays: rays per vertex for soft shadows; 0 leaves them out.
-        jpeg: images as JPEG (quality 95) instead of PNG.
-        seed: of everything random.
+    The motions are at 30 frames/s. The help of each field is in its metadata.
     """
 
-    image_size: int = 448
-    supersample: int = 2
-    cameras: int = 8
-    train_images: int = 32
-    train_stride: int = 5
-    test_images: int = 10
-    test_stride: int = 8
-    cloth_spacing: float = 0.017
-    substeps: int = 60
-    ambient_rays: int = 24
-    jpeg: bool = True
-    seed: int = 0
+    image_size: int = option(448, "Width and height of every image, pixels.", min=16, max=4096)
+    supersample: int = option(2, "Rays per pixel along each side.", min=1, max=8)
+    cameras: int = option(8, "Training cameras on the ring; one more between two of them is held out.", min=1)
+    train_images: int = option(32, "Frames of the training take that have images.", min=1)
+    train_stride: int = option(5, "Simulated frames from one training image to the next.", min=1)
+    test_images: int = option(10, "Frames of the held-out take that have images.", min=1)
+    test_stride: int = option(8, "Simulated frames from one held-out image to the next.", min=1)
+    cloth_spacing: float = option(
+        0.017, "Distance of neighbouring cloth vertices, metres.", min=0.008, max=0.06
+    )
+    substeps: int = option(60, "Cloth simulation steps per frame.", min=1)
+    ambient_rays: int = option(24, "Rays per vertex for soft shadows; 0 leaves them out.", min=0)
+    jpeg: bool = option(True, "Images as JPEG (quality 95), or as PNG.")
+    seed: int = option(0, "Seed of everything random.", min=0)
 
 
 PRESETS: dict[str, SynthConfig] = {

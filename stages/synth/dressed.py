@@ -11,10 +11,9 @@ from stages.shared.body import JOINT_INDEX, Poses
 from stages.shared.layers import BODY, SKIN, label_id
 from stages.shared.pictures.srgb import linear_from_srgb
 from stages.synth.bodies import Person, ShapedBody
-from stages.synth.fitted_garments import hair_cap, shoe
+from stages.synth.cuts import hair_cap, shoe
 from stages.synth.garments import Garment
 from stages.synth.textures import ROW_LENGTH, VERTEX_COLORS
-from stages.synth.transfer_attributes import transfer_attributes
 
 Doubles = NDArray[np.float64]
 
@@ -70,11 +69,11 @@ def accessories(mean: ShapedBody, wearer: ShapedBody, person: Person, spacing: f
     pieces += [(f"shoe {side:+d}", SHOE, shoe(mean, spacing, side), person.shoes) for side in (1, -1)]
     bound = []
     for name, label, (vertices, faces), color in pieces:
-        weights = np.maximum(transfer_attributes(vertices, faces, mean, mean.weights), 0.0)
+        weights = np.maximum(mean.transfer(vertices, faces, mean.weights), 0.0)
         if label == HAIR:
             weights[:] = np.eye(weights.shape[1])[JOINT_INDEX["head"]]
         weights /= weights.sum(axis=1, keepdims=True)
-        fitted = vertices + transfer_attributes(vertices, faces, mean, offsets)
+        fitted = vertices + mean.transfer(vertices, faces, offsets)
         bound.append(Bound(name, label, fitted, faces, weights, color))
     return bound
 

@@ -1,8 +1,6 @@
-"""Garments as geometry: cut around the mean body in its rest pose, then fitted to the shape of a person.
+"""Garments: a `Pattern` is cut for the mean body in its rest pose, and `fit` grades it to a person.
 
-Upper garments and trousers are offset surfaces of the body (`offset_surface`). The skirt is a flared cone
-from the waist. A `Pattern` is a garment cut for the mean body. `fit` moves it by the smoothed shape offsets
-of a body, which also fits the skirt of one person to another.
+Grading moves a pattern by the smoothed shape offsets of a body, so a garment of one person also fits another.
 """
 
 from __future__ import annotations
@@ -16,15 +14,8 @@ from stages.shared.cloth.material import Material
 from stages.shared.layers import LAYER_OF_LABEL, label_of
 from stages.shared.meshes import RayScene, face_normals
 from stages.synth.bodies import ShapedBody
-from stages.synth.fitted_garments import (
-    Cut,
-    open_vest,
-    t_shirt,
-    trousers,
-)
-from stages.synth.skirt import flared_skirt
+from stages.synth.cuts import Cut, flared_skirt, open_vest, t_shirt, trousers
 from stages.synth.textures import ARGYLE, CHECKS, DOTS, STRIPES, TARTAN, Fabric
-from stages.synth.transfer_attributes import transfer_attributes
 
 Doubles = NDArray[np.float64]
 
@@ -117,12 +108,12 @@ def fit(pattern: Pattern, mean: ShapedBody, wearer: ShapedBody) -> Garment:
     """
     cut = pattern.cut
     offsets = wearer.rest_vertices - mean.rest_vertices
-    moved = cut.vertices + transfer_attributes(cut.vertices, cut.faces, mean, offsets)
+    moved = cut.vertices + mean.transfer(cut.vertices, cut.faces, offsets)
     closest, face, _ = RayScene(wearer.rest_vertices, wearer.faces).closest(moved[cut.pinned])
     normals = face_normals(wearer.rest_vertices, wearer.faces)[0][face]
     height = ((moved[cut.pinned] - closest) * normals).sum(axis=1, keepdims=True)
     moved[cut.pinned] += np.maximum(pattern.distance - height, 0.0) * normals
-    weights = transfer_attributes(cut.vertices, cut.faces, mean, mean.weights)
+    weights = mean.transfer(cut.vertices, cut.faces, mean.weights)
     weights = np.maximum(weights, 0.0)
     return Garment(
         pattern.name,

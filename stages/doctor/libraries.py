@@ -17,6 +17,7 @@ OPTIONAL = (
     "anny",
     "snakemake",
     "tensorboardX",
+    "matplotlib",
     "atheris",
     "ai-edge-litert",
 )  # the extras of pyproject.toml

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.evaluate.config import EvaluateConfig
-from stages.evaluate.figure import Curve, Panel, figure
 from stages.evaluate.methods import TrainedMethod
 from stages.evaluate.score_table import score_views
 from stages.evaluate.views import FrameViews, views_by_split
@@ -21,6 +20,7 @@ from stages.shared.artifacts import Artifact, Workspace
 from stages.shared.artifacts.files import write_whole
 from stages.shared.body import BodyModel
 from stages.shared.capture.subject import open_subject_capture
+from stages.shared.charts import Curve, Panel, draw_charts
 from stages.shared.outfit.outfit import Outfit
 from stages.shared.outfit.trained_subject import TrainedSubject
 from stages.shared.report import SILENT
@@ -124,7 +124,7 @@ def curve_figure(
                 curves.append(Curve(name, [(x, y) for x, y in known if y is not None]))
             panels.append(Panel(f"{split.replace('_', ' ')}: {title}", "minutes of training", curves))
         rows.append(panels)
-    return figure(rows)
+    return draw_charts(rows)
 
 
 def outfit_of(subject: Path, training: Artifact) -> Outfit:

@@ -28,6 +28,7 @@ from stages.pipeline import BAKE_MAPS
 from stages.shared.artifacts import Workspace
 from stages.shared.artifacts.files import make_folders, write_whole
 from stages.shared.artifacts.pictures import encode_png
+from stages.shared.charts import check_charts
 from stages.shared.errors import MissingInput
 from stages.shared.outfit.outfit import Outfit
 from stages.shared.report import Report
@@ -81,6 +82,7 @@ def run(
 
 def check(subject: Path, folder: Path, runs: dict[str, Any], config: Any) -> CurveViews:
     """The views that are scored; refuses what can be known before anything is trained."""
+    check_charts()
     check_config(config)
     for run in runs.values():
         resolve_settings(run)

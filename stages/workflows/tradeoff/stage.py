@@ -20,6 +20,7 @@ from typing import Any
 from stages.shared.artifacts import write_whole
 from stages.shared.artifacts.canonical import readable_json
 from stages.shared.artifacts.pictures import encode_png
+from stages.shared.charts import check_charts
 from stages.shared.errors import BadData, MissingInput, UsageProblem
 from stages.shared.input_files import read_json_object
 from stages.shared.plan import Plan
@@ -106,9 +107,10 @@ def plan(
 
 
 def _check(output: Path, config: BenchTradeoffConfig) -> None:
-    """Raise UsageProblem for what cannot be measured, and where its folder cannot be."""
+    """Raise UsageProblem for what cannot be measured or written, MissingInput without matplotlib."""
     if not config.pitches or not config.decoders or config.minutes <= 0 or min(config.pitches) <= 0:
         raise UsageProblem("There is nothing to measure.", "options", "Give minutes and pitches.")
+    check_charts()
     check_folder_target(output)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import shutil
 import subprocess
 from dataclasses import replace
@@ -19,7 +18,6 @@ from typer.testing import CliRunner
 from gw_cli.app import app
 from stages.evaluate.comparison_sheet import comparison_sheet, shown_frames
 from stages.evaluate.curves import CurveFile, curve_figure
-from stages.evaluate.figure import COLORS, Curve, Panel, figure, growing_ticks, ticks
 from stages.pipeline import TRAIN
 from stages.shared.artifacts import Workspace
 from stages.shared.outfit.outfit import Outfit
@@ -188,47 +186,3 @@ def test_which_curves_stand_together(tmp_path: Path) -> None:
     for name in ("gaussian-wardrobe" + short, "without pe" + short):
         alone.add({"name": name, "minutes": 1.0, "steps": 1})
     assert alone.methods == ["gaussian-wardrobe" + short] and len(alone.ablations) == 2
-
-
-def _places(picture: np.ndarray, color: tuple[int, int, int]) -> np.ndarray:
-    """Middles of the strokes of a colour by column, in the panel."""
-    close = (np.abs(picture.astype(int) - color) < 25).all(axis=2)[:540]
-    return np.array([(x, np.flatnonzero(close[:, x]).mean()) for x in np.flatnonzero(close.any(axis=0))])
-
-
-def test_lines_rise_where_scores_rise() -> None:
-    curves = [Curve("up", [(1, 10), (10, 20)]), Curve("down", [(1, 20), (10, 10)])]
-    picture = figure([[Panel("title", "minutes", curves)]])
-    up, down = _places(picture, COLORS[0]), _places(picture, COLORS[1])
-    assert up[0, 1] > up[-1, 1] + 150 and down[0, 1] < down[-1, 1] - 150
-    assert abs(up[0, 0] - down[0, 0]) < 6
-    assert figure([[Panel("empty", "minutes", [Curve("a", [])])]]).shape[1] == picture.shape[1]
-
-
-def test_many_minutes_are_drawn_by_their_logarithm() -> None:
-    """Twice the time is the same way to the right, wherever it begins."""
-    minutes = [1.0, 2.0, 4.0, 8.0, 16.0, 64.0]
-    spread = figure([[Panel("", "", [Curve("a", [(minute, minute) for minute in minutes])])]])
-    columns = _places(spread, COLORS[0])[:, 0]
-    doubling = (columns[-1] - columns[0]) / 6  # of 64
-    few = figure([[Panel("", "", [Curve("a", [(minute, minute) for minute in minutes[:4]])])]])
-    assert doubling == pytest.approx(744 / math.log2(100), abs=4)
-    assert _places(few, COLORS[0])[0, 0] > 122 + 0.09 * 744, "few minutes begin at 0"
-
-
-@pytest.mark.parametrize("low, high", [(1, 100), (2.5, 90), (0.01, 20), (3, 4), (10, 10)])
-def test_growing_ticks_hold_the_range(low: float, high: float) -> None:
-    found = growing_ticks(low, high)
-    assert found[0] <= low * (1 + 1e-9) and found[-1] >= high * (1 - 1e-9) and len(found) >= 2
-    assert low < found[1] * (1 + 1e-9) and high > found[-2] * (1 - 1e-9)
-    assert {round(value / 10 ** math.floor(math.log10(value) + 1e-9), 6) for value in found} <= {1, 2, 5}
-
-
-@pytest.mark.parametrize("low, high", [(0, 20), (0.7, 0.83), (13.1, 13.1), (0, 0), (-3, 1e6)])
-def test_ticks_are_round_and_hold_the_range(low: float, high: float) -> None:
-    found = ticks(low, high)
-    assert found[0] <= low + 1e-9 * abs(low) and found[-1] >= high * (1 - 1e-9) and 2 <= len(found) <= 12
-    steps = np.diff(found)
-    assert np.allclose(steps, steps[0])
-    leading = steps[0] / 10 ** np.floor(np.log10(steps[0]) + 1e-9)
-    assert min(abs(leading - factor) for factor in (1, 2, 5, 10)) < 1e-6

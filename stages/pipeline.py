@@ -1,4 +1,4 @@
-"""The stages whose artifacts live in a subject's workspace, in order: the one place that says it."""
+"""The stages that write artifacts into a subject's workspace, in order."""
 
 from __future__ import annotations
 

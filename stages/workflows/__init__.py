@@ -1,1 +1,1 @@
-"""What uses several stages: demo, trade-off, learning curves, tables of the paper, playback, Snakefile."""
+"""Workflows of several stages: demo, trade-off, learning curves, tables of the paper, playback, Snakefile."""

@@ -1,4 +1,4 @@
-"""How a workflow runs a command: the front end passes a function that does it.
+"""How a workflow runs a command. The front end passes the function.
 
 The demo and the trade-off report seconds and peak memory of every command, so each runs in a process of its
 own. Only the command line knows how to start one.
@@ -14,7 +14,7 @@ from typing import Any, Protocol
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one command gave: wall seconds, peak bytes of the process, and its result."""
+    """The outcome of one command: wall seconds, peak bytes of the process, and the result."""
 
     seconds: float
     peak_bytes: int
@@ -22,11 +22,11 @@ class Outcome:
 
 
 class RunCommand(Protocol):
-    """Runs `gw` with these arguments; raises a `GwError` when it fails.
+    """Run `gw` with these arguments. Raises a `GwError` when it fails.
 
     Arguments:
-        folder: working folder. threads: at most so many, unless the environment says otherwise.
-        cancelled: ends the command when it is set.
+        folder: working folder. threads: maximum number of threads, unless the environment sets it.
+        cancelled: setting it ends the command.
     """
 
     def __call__(

@@ -1,4 +1,4 @@
-"""Settings of `gw bench playback`; light."""
+"""Settings of `gw bench playback`. Imports nothing heavy."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from stages.shared.option import option
 
 @dataclass(frozen=True)
 class PlaybackConfig:
-    """What is played. The help of each option is in its metadata.
+    """Settings of a playback measurement. The help of each option is in its metadata.
 
     Attributes:
-        plain_frames: frames of the plain way (`Outfit.composite`), for comparison.
+        plain_frames: number of frames on the plain path (`Outfit.composite`), for comparison.
     """
 
     frames: int = option(60, "Frames that are timed, spread evenly over the motion.", min=1)

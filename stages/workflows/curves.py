@@ -1,4 +1,4 @@
-"""Learning curves: train methods with the same budget, score them while they learn, and draw the scores.
+"""Learning curves: train methods with equal budgets, score them during training, and draw the scores.
 
 Reads:
     a SUBJECT with maps, and its capture.
@@ -47,7 +47,7 @@ _NAME = re.compile(r"(without )?([\w-]+) \(([\w-]+), ([^ ]+) min(?:, seed (\d+))
 
 
 def config_of(name: str) -> Any:
-    """The training that a curve's name stands for: "layga (draft, 20 min)", "without sg (draft, 10 min)"."""
+    """The training that the name of a curve means: "layga (draft, 20 min)", "without sg (draft, 10 min)"."""
 
     found = _NAME.fullmatch(name)
     if found is None or found[3] not in PRESETS:
@@ -60,7 +60,7 @@ def config_of(name: str) -> Any:
 def run(
     subject: Path, folder: Path, runs: dict[str, Any], config: Any, points: int, report: Report
 ) -> dict[str, Any]:
-    """Train and score every run that is not done, then draw."""
+    """Train and score every unfinished run, then draw."""
     views = check(subject, folder, runs, config)
     make_folders(folder)
     scored = f"{config.splits} {config.frame_step} {config.test_frame_step} {config.cameras}"
@@ -81,7 +81,7 @@ def run(
 
 
 def check(subject: Path, folder: Path, runs: dict[str, Any], config: Any) -> CurveViews:
-    """The views that are scored; refuses what can be known before anything is trained."""
+    """The views to score. Refuses wrong settings before anything is trained."""
     check_charts()
     check_config(config)
     for run in runs.values():
@@ -94,7 +94,7 @@ def check(subject: Path, folder: Path, runs: dict[str, Any], config: Any) -> Cur
 def _train(
     subject: Path, runs: dict[str, Any], views: CurveViews, curves: CurveFile, points: int, report: Report
 ) -> None:
-    """Train what is not done, and add a point to its curve whenever it is looked at."""
+    """Train one unfinished run. Each scoring adds a point to its curve."""
     most = 3 + len(Workspace(subject).require(BAKE_MAPS).summary["layers"])
     warm_up(report, tuple(sorted({1, 4, 5, most})))  # compiling is nobody's training time
     for name, run in runs.items():
@@ -114,7 +114,7 @@ def _train(
 
 
 def _draw(subject: Path, folder: Path, views: CurveViews, curves: CurveFile, report: Report) -> list[str]:
-    """Write figures and pictures of all curves; returns those whose training is not in the subject."""
+    """Write figures and pictures of all curves. Returns the curves whose training is not in the subject."""
     report.step("drawing")
     workspace, missing = Workspace(subject), []
     sheets = ((curves.methods, SHOWN, FILES[1:]), (curves.ablations, SHOWN_OF_ABLATIONS, ABLATION_FILES))

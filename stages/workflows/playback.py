@@ -1,11 +1,11 @@
-"""How fast an outfit plays on this machine: from a row of the pose file to a finished picture in memory.
+"""Measure how fast an outfit plays: from a row of the pose file to a finished picture in memory.
 
 Reads:
     bundles `.gwg`, a pose file. Writes nothing; times are medians over frames, in milliseconds.
 
-Three ways are timed: the plain one (`Outfit.composite`, one frame after the other), the cached one
+Three paths are timed: the plain one (`Outfit.composite`, one frame after the other), the cached one
 (`CachedPoser`), and frames in parallel (`parallel_frames`), whose rate is frames over wall time. The
-penetration pass is on. It is also left out, frame by frame in turn, and its cost is the difference.
+penetration pass is on. Each frame is also rendered without it, and the difference is its cost.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _WARM_FRAMES = 3  # compilation, first touch of memory
 
 @dataclass(frozen=True)
 class PlaybackResult:
-    """Times, and what was played."""
+    """Measured times and the outfit."""
 
     summary: dict[str, Any]
 
@@ -54,10 +54,10 @@ def run(
     config: PlaybackConfig = PlaybackConfig(),
     report: Report = SILENT,
 ) -> PlaybackResult:
-    """Play an outfit and time it.
+    """Play an outfit and measure the time.
 
     Raises:
-        UsageProblem: no frames, or what cannot be worn together. MissingInput, BadData: files.
+        UsageProblem: no frames, or garments that cannot be worn together. MissingInput, BadData: files.
     """
     if config.frames < 1 or config.size < 16:
         raise UsageProblem("There is nothing to play.", "options --frames and --size", "Ask for more.")
@@ -106,7 +106,7 @@ def _split(outfit: Outfit, poses: Poses, frames: list[tuple[int, Camera]], hidde
 
 
 def _plain(outfit: Outfit, poses: Poses, frames: list[tuple[int, Camera]]) -> float | None:
-    """Median milliseconds of a frame without anything that was done for speed; None without frames."""
+    """Median milliseconds of a frame on the plain path, or None without frames."""
 
     def frame(row: int, camera: Camera) -> RenderedImage:
         return render_image(outfit.composite(poses, row), camera, TRYON_MARGINS)
@@ -118,7 +118,7 @@ def _plain(outfit: Outfit, poses: Poses, frames: list[tuple[int, Camera]]) -> fl
 def _rate(
     outfit: Outfit, poses: Poses, frames: list[tuple[int, Camera]], threads: int, hidden: Mask
 ) -> tuple[float, int]:
-    """Frames per second side by side, over the whole wall time after the first frames."""
+    """Frames per second of parallel frames: frames over wall time, without the first ones."""
 
     def work(player: CachedPoser, frame: tuple[int, Camera]) -> Gaussians | RenderedImage:
         return render_image(player.composite(poses, frame[0]), frame[1], TRYON_MARGINS)

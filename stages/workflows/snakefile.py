@@ -1,8 +1,7 @@
-"""The stage table as a Snakefile: one rule a stage, one job a subject.
+"""The stage table as a Snakefile: one rule per stage, one job per subject and stage.
 
-A rule's output is the stage's `current.json`, which `gw` replaces atomically when an artifact is finished: a
-killed job leaves the old one or none, so there is nothing half-made for Snakemake to mistake for a result.
-`gw` itself knows what is up to date; Snakemake decides where and in which order.
+The output of a rule is the stage's `current.json`. `gw` replaces it atomically when an artifact is complete,
+so a killed job leaves no partial result. `gw` knows what is up to date. Snakemake decides machine and order.
 """
 
 from __future__ import annotations
@@ -55,10 +54,10 @@ rule {rule}:
 
 
 def subjects(captures: Sequence[Path]) -> dict[str, str]:
-    """Name of each subject and where its capture is: the capture's folder name.
+    """Name of each subject (the folder name of its capture) and the path of its capture.
 
     Raises:
-        MissingInput: a capture is not there. UsageProblem: a name that cannot be a folder's, or stands twice.
+        MissingInput: a capture does not exist. UsageProblem: an invalid folder name, or one name twice.
     """
     found: dict[str, str] = {}
     for capture in captures:
@@ -76,7 +75,7 @@ def subjects(captures: Sequence[Path]) -> dict[str, str]:
 
 
 def snakefile(captures: Mapping[str, str], workspaces: str, preset: str) -> str:
-    """Text of a Snakefile that takes every capture through all stages."""
+    """Text of a Snakefile that runs all stages on every capture."""
     listed = "".join(f"    {_quoted(name)}: {_quoted(place)},\n" for name, place in captures.items())
     header = _HEADER.format(
         captures=f"{{\n{listed}}}",
@@ -88,7 +87,7 @@ def snakefile(captures: Mapping[str, str], workspaces: str, preset: str) -> str:
 
 
 def _quoted(text: str) -> str:
-    """A text as Python has it between double quotes; JSON's rules are among Python's."""
+    """A Python string literal in double quotes. JSON literals are valid in Python."""
     return json.dumps(text, ensure_ascii=False)
 
 

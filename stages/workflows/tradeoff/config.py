@@ -1,4 +1,4 @@
-"""Settings of `gw bench tradeoff`; light."""
+"""Settings of `gw bench tradeoff`. Imports nothing heavy."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from stages.shared.option import option
 
 @dataclass(frozen=True)
 class Decoder:
-    """How a trained subject is played: as it was trained, or by blendshapes with at most so many bases.
+    """How a trained subject is played: as trained, or by blendshapes with a maximum number of bases.
 
     Attributes:
-        name: in tables. ranks: for offsets, colours and form; None: as trained.
-        trained: blendshapes are trained by themselves instead of distilled.
+        name: as in tables. ranks: numbers of bases for offsets, colours and form; None means as trained.
+        trained: blendshapes are trained directly instead of distilled.
     """
 
     name: str
@@ -41,7 +41,7 @@ class Training:
 
 @dataclass(frozen=True)
 class BenchTradeoffConfig:
-    """Which operating points are measured.
+    """The operating points to measure.
 
     Attributes:
         preset: of every stage.
@@ -66,6 +66,6 @@ class BenchTradeoffConfig:
 
     @property
     def trainings(self) -> tuple[Training, ...]:
-        """One for every pitch, with an equal share of the minutes for each and each that decoders need."""
+        """One training per pitch and per trained decoder, with equal shares of the minutes."""
         count = len(self.pitches) * (1 + sum(decoder.trained for decoder in self.decoders))
         return tuple(Training(self.preset, self.minutes / count, pitch) for pitch in self.pitches)

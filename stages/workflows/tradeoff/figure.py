@@ -17,7 +17,7 @@ _AXES = (("psnr_foreground", "foreground PSNR, dB"), ("ssim_foreground", "foregr
 
 
 def tradeoff_page(points: Sequence[OperatingPoint], front: Sequence[OperatingPoint], title: str) -> str:
-    """A page that needs no other file: the charts and the table."""
+    """A self-contained page with the charts and the table."""
     picture = base64.b64encode(encode_png(tradeoff_picture(points, front))).decode()
     head = "<tr><th>" + "<th>".join(_ROW) + "</tr>"
     rows = "".join("<tr><td>" + "<td>".join(_cells(point, point in front)) + "</tr>" for point in points)
@@ -38,7 +38,7 @@ _ROW = (
 
 
 def markdown(points: Sequence[OperatingPoint], front: Sequence[OperatingPoint]) -> str:
-    """The same table for a README."""
+    """The table in Markdown."""
     lines = ["| " + " | ".join(_ROW) + " |", "|---|" + "---:|" * (len(_ROW) - 1)]
     return (
         "\n".join(lines + ["| " + " | ".join(_cells(point, point in front)) + " |" for point in points])

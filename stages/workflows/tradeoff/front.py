@@ -1,4 +1,4 @@
-"""Operating points, which of them are worth having, and choosing one."""
+"""Operating points, their Pareto front, and the choice of one."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from stages.shared.errors import BadData, MissingInput, UsageProblem
 
 @dataclass(frozen=True)
 class OperatingPoint:
-    """One way to have a subject, measured.
+    """One measured combination of pitch and decoder.
 
     Attributes:
         name: of its folder. pitch: mm per texel. decoder: see `Decoder`. gaussians: of all layers.
@@ -40,7 +40,7 @@ class OperatingPoint:
 
     @classmethod
     def from_dict(cls, content: Any, where: str) -> OperatingPoint:
-        """Read back. Raises BadData where it is no operating point."""
+        """From JSON. Raises BadData if it is not an operating point."""
         names = cls.__dataclass_fields__
         known = (
             {name: value for name, value in content.items() if name in names}
@@ -48,7 +48,7 @@ class OperatingPoint:
             else {}
         )
         if set(known) != set(names):
-            raise BadData("This is no operating point.", where, "Run gw bench tradeoff again.")
+            raise BadData("This is not an operating point.", where, "Run gw bench tradeoff again.")
         return cls(**known)
 
 
@@ -73,7 +73,7 @@ def fast_enough(points: Sequence[OperatingPoint], frames_per_second: float) -> O
     """The best-looking point that plays at this rate.
 
     Raises:
-        MissingInput: none does; the fastest is named.
+        MissingInput: no point does. The message names the fastest.
     """
     able = [point for point in points if point.frames_per_second >= frames_per_second]
     if not able:
@@ -96,12 +96,12 @@ def good_enough(points: Sequence[OperatingPoint], loss: float) -> OperatingPoint
 def chosen_point(
     points: Sequence[OperatingPoint], frames_per_second: float, loss: float | None
 ) -> OperatingPoint:
-    """What a rate, a loss (dB), or both ask for; 0 and None ask for nothing.
+    """The point for a rate, a loss (dB), or both. 0 and None are no condition.
 
-    With both: the best-looking of those that are fast enough and near enough.
+    With both conditions it is the best-looking point that satisfies both.
 
     Raises:
-        UsageProblem: nothing is asked for. MissingInput: no point is fast enough (and near enough).
+        UsageProblem: no condition. MissingInput: no point satisfies them.
     """
     if loss is None and not frames_per_second:
         raise UsageProblem(
@@ -118,7 +118,7 @@ def chosen_point(
 
 
 def given_up(points: Sequence[OperatingPoint], chosen: OperatingPoint) -> str:
-    """What a choice costs, for people."""
+    """A sentence about what a choice costs."""
     best = max(points, key=lambda point: point.psnr_foreground)
     if best is chosen:
         return f"{chosen.name}: the best measured, {chosen.frames_per_second:.1f} frames/s"

@@ -1,4 +1,4 @@
-"""The dial, measured: how good, how fast, how large, for pitches and decoders of one capture.
+"""Measure quality, speed and size for pitches and decoders of one capture.
 
 Reads:
     a capture (as `gw register-template` does).
@@ -6,7 +6,7 @@ Writes, into the output folder:
     subject/: the workspace of all trainings. points/NAME/: bundles of an operating point, its evaluation.
     tradeoff.json: every point; tradeoff.html, tradeoff.png, table.md: the picture and the table.
 
-Every step is a `gw` command in a process of its own; what is done already is not done again.
+Every step is a `gw` command in its own process. Finished steps are not repeated.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _SCORES = ("psnr_foreground", "ssim_foreground", "miou", "sharpness")
 
 @dataclass(frozen=True)
 class BenchTradeoffResult:
-    """The folder, and the points."""
+    """The output folder and the measured points."""
 
     path: Path
     summary: dict[str, Any]
@@ -52,7 +52,7 @@ def run(
     report: Report = SILENT,
     body_model: Path | None = None,
 ) -> BenchTradeoffResult:
-    """Train at every pitch, play with every decoder, and draw what that gives.
+    """Train at every pitch, play with every decoder, and draw the results.
 
     Raises:
         UsageProblem: nothing to measure. GwError: a command failed.
@@ -90,7 +90,7 @@ def plan(
     run_command: RunCommand,
     body_model: Path | None = None,
 ) -> Plan:
-    """What `run` would cost; the measuring of a point is taken as a minute."""
+    """The cost of `run`. Measuring a point counts as one minute."""
     _check(output, config)
     subject = output.resolve() / "subject"
     run_command(*_registration(capture.resolve(), subject, body_model), "--dry-run")
@@ -115,16 +115,16 @@ def _check(output: Path, config: BenchTradeoffConfig) -> None:
 
 
 def _registration(capture: Path, subject: Path, body_model: Path | None) -> list[str | Path]:
-    """The command that everything begins with."""
+    """The first command of the bench."""
     given: list[str | Path] = ["--body-model", body_model.resolve()] if body_model else []
     return ["register-template", capture, "-o", subject, *given]
 
 
 def read_points(folder: Path) -> list[OperatingPoint]:
-    """The points that a bench left in its folder.
+    """The points that a bench wrote to its folder.
 
     Raises:
-        MissingInput: there are none. BadData: they cannot be read.
+        MissingInput: there are no points. BadData: they cannot be read.
     """
     path = folder / RESULT_NAME
     if not path.is_file():
@@ -139,7 +139,7 @@ def bundles_of(folder: Path, point: OperatingPoint) -> list[Path]:
     """The bundle files of a point.
 
     Raises:
-        MissingInput: they are gone.
+        MissingInput: a file does not exist.
     """
     found = sorted((folder / "points" / point.name).glob("*.gwg"))
     if not found:
@@ -158,7 +158,7 @@ def _train(
     config: BenchTradeoffConfig,
     decoder: Decoder = AS_TRAINED,
 ) -> tuple[list[str], float]:
-    """Bake and train; the layers, and the pitch in mm per texel."""
+    """Bake and train. Returns the layers and the pitch in mm per texel."""
     fine = ["--pitch", f"{training.pitch:g}"] if training.pitch else []
     baked = run_command("bake-maps", subject, "--preset", training.preset, *fine)
     kind = ["--decoder", "blendshapes", "--ranks", _text(decoder.ranks)] if decoder.trained else []
@@ -168,7 +168,7 @@ def _train(
 
 
 def _name(training: Training, pitch: float, decoder: Decoder, config: BenchTradeoffConfig) -> str:
-    """Of a point and of its folder."""
+    """Name of a point and of its folder."""
     whole = "" if training in config.trainings else f"{training.preset} "
     return f"{whole}{pitch:g} mm {decoder.name}".replace(" ", "-")
 
@@ -224,7 +224,7 @@ def _measure(
 def write_results(
     output: Path, subject: str, points: Sequence[OperatingPoint], config: BenchTradeoffConfig
 ) -> None:
-    """Everything so far, so that a bench that is stopped leaves what it measured."""
+    """Write all results so far, so that an interrupted bench keeps them."""
     front = on_front(points)
     content = {
         "format": "gw-tradeoff",

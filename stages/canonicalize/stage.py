@@ -23,10 +23,9 @@ from scipy.spatial import cKDTree
 
 from stages.canonicalize.config import CanonicalizeConfig
 from stages.canonicalize.shape import add_shape, canonical_body, template_shape_directions
-from stages.canonicalize.unpose import Tears, Unposed, cut_tears, unpose
+from stages.canonicalize.unpose import Tears, Unposed, cut_tears, forward_skin, inverse_skin, unpose
 from stages.pipeline import CANONICALIZE, REGISTER_TEMPLATE
 from stages.shared.artifacts import Inputs, StageResult, Workspace
-from stages.shared.body.inverse import forward_skin, inverse_skin
 from stages.shared.body.model import BodyModel
 from stages.shared.body.posed import posed_body, row_transforms
 from stages.shared.body.poses import Poses

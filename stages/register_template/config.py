@@ -31,8 +31,8 @@ class RegisterTemplateConfig:
         fit_steps: `FULL_FIT` gives every level of a fit all of its steps, a smaller number a share of them.
         poses: "given" (the capture's own, checked), "fit" (found from masks, and from the scan where that is
             the template), "refine" (the capture's own as the initial guess).
-        hold_out: cameras that are not learned from, for judging novel views, besides those that the capture
-            holds out.
+        hold_out: cameras that are not learned from but used to score novel views, in addition to the
+            capture's own.
         picture_scale: size at which pictures and masks are looked at, 1 is the capture's; 0 for the size at
             which the distance of two nodes of the hull covers two to three pixels.
     """

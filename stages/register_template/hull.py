@@ -36,14 +36,14 @@ _FEWEST_ROUGH_CAMERAS, _ROUGH_HALF_SIDE_M, _ROUGH_PITCH_M, _ROUGH_SMOOTHING, _RO
     4,
     512,
 )
-# How far clothes and hair may go without being asked, how far what one part of the body needs holds for the
-# parts around it, and what is allowed on top of the need; metres.
+# Distance from the body that the hull may always reach, reach of what one part of the body needs over the
+# parts around it, and slack on top of the need; metres.
 _ALWAYS_M, _SPREAD_M, _SLACK_M = 0.04, 0.15, 0.02
-# Rounding: how near to a mask's edge a node touches it (grid steps), how many seen thicknesses make one, how
-# far they reach over the body, and what a turn of its normal by one radian counts (metres).
+# Rounding: distance from a mask's edge at which a node touches it (grid steps), number of measurements that
+# are averaged, their reach over the body, and the weight of a normal's turn by one radian (both metres).
 _TOUCHING_STEPS, _CURVES, _CURVE_SPREAD_M, _NORMAL_M = 1.5, 16, 0.05, 0.08
 _CLOSED_M = 0.12
-_BETWEEN_M = 0.4  # what has the body before and behind it nearer than this lies between two parts of it
+_BETWEEN_M = 0.4  # points with body this near on both sides lie between two parts of it
 _BIN_STEPS = 1.5  # side of the bins in which pixels are compared, in projected grid steps
 
 
@@ -204,9 +204,9 @@ def _without_ghosts(
 ) -> Doubles:
     """The field cut down to what the masks need around each part of the body.
 
-    Few cameras leave ghosts: volume inside of all masks that explains no pixel, as every ray through it meets
-    the person elsewhere. Of all hull points on a ray the one nearest to the body explains the pixel; how far
-    those points lie from a part of the body is how far the hull may go around it.
+    With few cameras a hull has ghosts: volume inside of all masks that is not needed to explain any pixel.
+    Of all hull points on a ray, the one nearest to the body explains the pixel. The largest distance of these
+    points from a part of the body limits how far the hull may go around that part.
     """
     inside = np.flatnonzero(values > 0)
     nodes = grid.nodes()[inside]
@@ -215,11 +215,7 @@ def _without_ghosts(
     needed = np.zeros(len(body))
     for one in silhouettes:
         pixels, depth = one.camera.project(nodes)
-        side = np.ceil(_BIN_STEPS * grid.pitch * one.focal / np.median(depth))
-        columns = int(np.ceil(one.camera.width / side)) + 1
-        bins = (pixels[:, 1] // side).astype(np.int64) * columns + (pixels[:, 0] // side).astype(np.int64)
-        order = np.lexsort((distance, bins))
-        explaining = order[np.unique(bins[order], return_index=True)[1]]
+        explaining = _least_in_bins(one, grid, depth, pixels, distance)
         np.maximum.at(needed, nearest[explaining], distance[explaining])
     far = np.flatnonzero(needed > _ALWAYS_M)
     allowed = np.full(len(body), _ALWAYS_M)
@@ -239,12 +235,12 @@ def _rounded(
     faces: NDArray[np.integer],
     leg_vertices: NDArray[np.bool_],
 ) -> Doubles:
-    """The field cut down to the distance from the body that was seen, interpolated between the views.
+    """The field cut down to the thickness of the clothes, interpolated between the views.
 
-    Every ray through a mask's edge touches the person somewhere: most likely where it comes nearest to the
-    body. That gives the thickness of what is worn along curves around the body, one for each view. Between
-    the curves a hull has the corners of a polygon; the thickness interpolated over the body has not. Between
-    two parts of the body (the legs in a skirt, the arm and the trunk) nothing is cut.
+    Every ray through a mask's edge touches the person, most likely where it comes nearest to the body. This
+    gives the thickness of the clothes along a curve around the body for each view. Between the curves a hull
+    has the corners of a polygon; the thickness interpolated over the body has none. Between two parts of the
+    body (the legs in a skirt, the arm and the trunk) nothing is cut.
     """
     inside = np.flatnonzero(values > 0)
     nodes = grid.nodes()[inside]
@@ -258,13 +254,13 @@ def _rounded(
     features = np.concatenate([body, _NORMAL_M * normals], axis=1)
     apart, around = cKDTree(features[known]).query(features, min(_CURVES, len(known)))
     weights = np.exp(-((apart / _CURVE_SPREAD_M) ** 2) / 2) + 1e-6
-    worn = (weights * thickness[around]).sum(axis=1) / weights.sum(axis=1)
-    allowed = np.einsum("ns,ns->n", shares, worn[faces[face]])
+    interpolated = (weights * thickness[around]).sum(axis=1) / weights.sum(axis=1)
+    allowed = np.einsum("ns,ns->n", shares, interpolated[faces[face]])
     beyond = scene.first_hits(nodes + 0.002 * facing, facing).distance
     room = np.where((beyond < _BETWEEN_M) | (distance < 0), np.inf, allowed - distance)
     result = values.copy()
     result[inside] = np.minimum(values[inside], np.maximum(room, -grid.pitch))
-    # Two legs make one skirt: what is cut between them comes back, as far as the masks allow.
+    # A skirt closes the space between the legs: what was cut there is restored as far as the masks allow.
     legs = np.isin(nearest, np.flatnonzero(leg_vertices))
     closed = _closed(result, grid)[inside[legs]]
     result[inside[legs]] = np.maximum(result[inside[legs]], np.minimum(values[inside[legs]], closed))
@@ -287,19 +283,29 @@ def _touched(
     Arguments:
         nodes: (N, 3) inside the hull, with their signed distance (N,) to the body and nearest vertex (N,).
     """
-    places, worn = [], []
+    vertices, thickness = [], []
     for one in silhouettes:
         pixels, depth = one.camera.project(nodes)
         seen = np.flatnonzero(one.camera.in_view(pixels))
         from_edge = sample_bilinear(one.distance, pixels[seen])[:, 0] * depth[seen] / one.focal
         touching = seen[from_edge < _TOUCHING_STEPS * grid.pitch]
-        left_over = from_edge[from_edge < _TOUCHING_STEPS * grid.pitch]
-        side = np.ceil(_BIN_STEPS * grid.pitch * one.focal / np.median(depth))
-        columns = int(np.ceil(one.camera.width / side)) + 1
-        spots = pixels[touching] // side
-        bins = spots[:, 1].astype(np.int64) * columns + spots[:, 0].astype(np.int64)
-        order = np.lexsort((distance[touching] + left_over, bins))
-        first = order[np.unique(bins[order], return_index=True)[1]]
-        places.append(nearest[touching[first]])
-        worn.append(distance[touching[first]] + left_over[first])
-    return np.concatenate(places), np.concatenate(worn)
+        reached = distance[touching] + from_edge[from_edge < _TOUCHING_STEPS * grid.pitch]
+        first = _least_in_bins(one, grid, depth, pixels[touching], reached)
+        vertices.append(nearest[touching[first]])
+        thickness.append(reached[first])
+    return np.concatenate(vertices), np.concatenate(thickness)
+
+
+def _least_in_bins(
+    one: Silhouette, grid: _Grid, depth: Doubles, pixels: Doubles, values: Doubles
+) -> NDArray[np.intp]:
+    """The point with the smallest value in each bin of an image, of N points at pixels (N, 2); values (N,).
+
+    Arguments:
+        depth: of all points that are compared, metres; with the grid step it gives the size of the bins.
+    """
+    side = np.ceil(_BIN_STEPS * grid.pitch * one.focal / np.median(depth))
+    columns = int(np.ceil(one.camera.width / side)) + 1
+    bins = (pixels[:, 1] // side).astype(np.int64) * columns + (pixels[:, 0] // side).astype(np.int64)
+    order = np.lexsort((values, bins))
+    return np.asarray(order[np.unique(bins[order], return_index=True)[1]])

@@ -26,14 +26,14 @@ from stages.shared.meshes.topology import face_normals
 from stages.shared.poses import load_poses
 from stages.shared.report import Report
 
-_STRANGE_M, _STRANGE_SHARE = 0.30, 0.25  # so much of the area, so far from the body, is somebody else's
+_STRANGE_M, _STRANGE_SHARE = 0.30, 0.25  # a mesh with more of its area this far from the body is refused
 
 
 def register_mesh(source: Source, config: RegisterTemplateConfig, report: Report) -> Registration:
     """Take a lone mesh as the template; fit the body when no parameters are given.
 
     Raises:
-        BadData: nobody's size, two people, a mesh far from the body given.
+        BadData: not the size of a person, two people, a mesh far from its body.
         UsageProblem: a frame that the pose file does not have.
     """
     assert source.mesh is not None

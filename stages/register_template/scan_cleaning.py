@@ -44,7 +44,7 @@ def clean_scan(mesh: Mesh, most_faces: int, where: str, report: Report) -> Clean
         most_faces: a larger scan is simplified to about as many.
 
     Raises:
-        BadData: nobody's size in any unit; two people.
+        BadData: not the size of a person in any unit; two people.
     """
     mesh, welded, dropped = weld(mesh)
     if not len(mesh.faces):
@@ -144,13 +144,13 @@ def outward_faces(mesh: Mesh, seed: int = 0) -> tuple[Mesh, int]:
     return replace(mesh, faces=kept), int(turned.sum())
 
 
-# Shares of the mesh: the area of a part that is looked at, the gap below which two parts belong together, and
-# the height, the area and the distance (between middles) of two people.
+# Shares of the mesh: the smallest area of a part that is checked, and the gap below which two parts belong
+# together. Then height, area and distance (between centres) of two people.
 _PART_AREA, _GAP = 0.01, 0.03
 _PERSON_TALL, _PERSON_AREA, _APART = 0.5, 0.2, 0.15
 _MOST_PARTS = 40
 _SAMPLES = 3000
-_STANDING = 1.5  # a standing person is so many times taller than wide
+_STANDING = 1.5  # ratio of height to width of a standing person
 
 
 def refuse_two_people(mesh: Mesh, where: str) -> None:

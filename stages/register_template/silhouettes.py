@@ -17,7 +17,7 @@ from stages.shared.report import Report
 
 Doubles = NDArray[np.float64]
 
-# Space counts as inside only where this share of the cameras has it in view; at least and at most so many.
+# Space counts as inside only where this share of the cameras sees it: at least two cameras, at most four.
 _VIEW_SHARE, _FEWEST_VIEWS, _ENOUGH_VIEWS = 0.4, 2, 4
 
 

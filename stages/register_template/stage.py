@@ -8,7 +8,7 @@ Writes (artifact register-template):
                            labels (V,) u8 if known
     smpl_params.npz        poses of all training frames; row `frame` of the summary is the template's frame
     body.safetensors       the body model that the poses are for (`BodyModel.to_arrays`)
-    overlay.png            the body's outline over the images, or the mesh beside the fitted body
+    overlay.png            the body's outline over the images, or the mesh above the fitted body
     preview.png            the template from front and back
     report.json            alignment per camera, what was tried, how the template was made, distances
     poses/<take>.npz       poses of every take, when they were fitted or refined

@@ -82,7 +82,7 @@ def takes_with_scans(capture: Capture) -> list[Take]:
 def _made_of(capture: Capture, takes: list[Take], count: int, size: tuple[int, int], folder: Path) -> bytes:
     """What a virtual capture depends on, as JSON: sizes and times of the scans, the poses, the settings.
 
-    The capture's place is told from `folder`: no file names a place on somebody's disk.
+    The path of the capture is relative to `folder`, so that no file holds an absolute path.
     """
     scans = {
         f"{take.name}/{frame}": [path.name, path.stat().st_size, path.stat().st_mtime_ns]

@@ -28,13 +28,12 @@ from gw_cli.options import Json, Preset, Subject
 from stages.canonicalize.config import PRESETS, CanonicalizeConfig
 from stages.canonicalize.shape import add_shape, canonical_body
 from stages.canonicalize.stage import spread_body, start_weights
-from stages.canonicalize.unpose import cut_tears, edge_growth, unpose
+from stages.canonicalize.unpose import cut_tears, edge_growth, forward_skin, inverse_skin, unpose
 from stages.pipeline import REGISTER_TEMPLATE
 from stages.shared.artifacts import Workspace, write_whole
 from stages.shared.artifacts.canonical import readable_json
 from stages.shared.artifacts.pictures import encode_png
 from stages.shared.body.canonical import canonical_from_rest
-from stages.shared.body.inverse import forward_skin, inverse_skin
 from stages.shared.body.kinematics import shaped_joints
 from stages.shared.body.model import BodyModel
 from stages.shared.body.posed import posed_body, row_transforms

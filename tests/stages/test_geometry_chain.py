@@ -14,13 +14,13 @@ from stages.bake_maps.config import PRESETS as BAKE
 from stages.canonicalize import stage as canonicalize
 from stages.canonicalize.config import PRESETS as CANONICALIZE
 from stages.canonicalize.shape import add_shape
+from stages.canonicalize.unpose import forward_skin
 from stages.register_template import stage as register_template
 from stages.register_template.config import PRESETS as REGISTER
 from stages.segment_layers import stage as segment_layers
 from stages.segment_layers.config import PRESETS as SEGMENT
 from stages.shared.artifacts import Artifact
 from stages.shared.body.canonical import posed_from_canonical
-from stages.shared.body.inverse import forward_skin
 from stages.shared.body.load import embedded_body
 from stages.shared.errors import BadData, MissingInput
 from stages.shared.layers import LABELS

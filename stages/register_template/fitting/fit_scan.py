@@ -52,7 +52,7 @@ class InitialGuess:
 
 def initial_guesses(body: BodyModel, points: Doubles) -> list[InitialGuess]:
     """Guesses for points (M, 3) of a standing person, metres, with any axis up."""
-    starts = []
+    guesses = []
     tall = np.ptp(body.template_vertices[:, 1])
     for up, turn in UP_AXES.items():
         height = np.ptp(points @ turn[1])
@@ -61,8 +61,8 @@ def initial_guesses(body: BodyModel, points: Doubles) -> list[InitialGuess]:
         for yaw in range(_YAWS):
             facing = Rotation.from_euler("y", yaw * 2 * np.pi / _YAWS).as_matrix()
             for angle in _ARMS_DOWN:
-                starts.append(InitialGuess(up, _state(body, points, turn.T @ facing, angle)))
-    return starts
+                guesses.append(InitialGuess(up, _state(body, points, turn.T @ facing, angle)))
+    return guesses
 
 
 def _state(body: BodyModel, points: Doubles, root: Doubles, arm_angle: float) -> State:
@@ -89,7 +89,7 @@ BODY_JOINTS = np.arange(22)
 _ALL_JOINTS = np.r_[np.arange(22), np.arange(25, 55)]
 _FIRST_BETAS = np.arange(2)
 ALL_BETAS = np.arange(SHAPE_COUNT)
-_MOST_STARTS = 16
+_MOST_GUESSES = 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,58 +143,58 @@ def fit_scan(
         mesh: of one standing person, metres, clean (`scan_cleaning`).
         effort: share of the steps of every level.
         start: one frame to improve; without it every up axis and eight directions are tried.
-        levels: rounds, coarse to fine; the first two are left out when there is a start.
+        levels: rounds, coarse to fine; with a start the first two are left out.
 
     Raises:
         BadData: the mesh has not the height of a person along any axis.
     """
     scan = scan_points(mesh, LEVELS[-1].points)
     if start is None:
-        starts = initial_guesses(body, scan.points)
-        if not starts:
+        guesses = initial_guesses(body, scan.points)
+        if not guesses:
             size = np.ptp(mesh.vertices, axis=0)
             raise BadData(
-                f"The mesh is {size[0]:.2f} x {size[1]:.2f} x {size[2]:.2f} m large: nobody stands in there.",
+                f"The mesh is {size[0]:.2f} x {size[1]:.2f} x {size[2]:.2f} m large; no standing person is.",
                 f"mesh of {len(mesh.vertices)} vertices",
                 "Give a mesh of one standing person, or the body fit with --params.",
             )
-        starts = _promising(body, starts, scan)
+        guesses = _promising(body, guesses, scan)
     else:
-        starts, levels = [InitialGuess("+y", start)], levels[2:]
+        guesses, levels = [InitialGuess("+y", start)], levels[2:]
     for level in levels:
         thinned, outer = scan.thinned(level.points), outer_points(body, level.points)
-        for number, one in enumerate(starts):
-            _improve(body, one, thinned, outer, level, effort, guess=mesh.labels is None)
-            report.progress(number + 1, len(starts), loss=one.loss)
-        starts = sorted(starts, key=lambda one: one.loss)[: level.survivors]
-    best = starts[0]
+        for number, one in enumerate(guesses):
+            _improve(body, one, thinned, outer, level, effort, guess_contacts=mesh.labels is None)
+            report.progress(number + 1, len(guesses), loss=one.loss)
+        guesses = sorted(guesses, key=lambda one: one.loss)[: level.survivors]
+    best = guesses[0]
     return ScanFit(best.state, best.up, best.loss)
 
 
-def _promising(body: BodyModel, starts: list[InitialGuess], scan: ScanPoints) -> list[InitialGuess]:
+def _promising(body: BodyModel, guesses: list[InitialGuess], scan: ScanPoints) -> list[InitialGuess]:
     """The guesses that fit best before any step."""
     level = LEVELS[0]
     thinned, outer = scan.thinned(level.points), outer_points(body, level.points)
-    for one in starts:
+    for one in guesses:
         places = bones_of(body, one.state, 0).place(outer)
         one.loss = misfit(body, vertices_of(body, one.state), places, thinned, level.robust)
-    return sorted(starts, key=lambda one: one.loss)[:_MOST_STARTS]
+    return sorted(guesses, key=lambda one: one.loss)[:_MOST_GUESSES]
 
 
 def _improve(
     body: BodyModel,
-    start: InitialGuess,
+    guess: InitialGuess,
     scan: ScanPoints,
     outer: SurfacePoints,
     level: Level,
     effort: float,
-    guess: bool,
+    guess_contacts: bool,
 ) -> None:
     """Some steps from a guess, in place."""
-    active, state, prior = ActiveParameters(level.joints, level.betas), start.state, Prior()
+    active, state, prior = ActiveParameters(level.joints, level.betas), guess.state, Prior()
     for number in range(max(3, round(effort * level.steps))):
         bones, vertices = bones_of(body, state, 0), vertices_of(body, state)
-        if guess and number % 4 == 0 and level is not LEVELS[0]:
+        if guess_contacts and number % 4 == 0 and level is not LEVELS[0]:
             scan = replace(
                 scan, contact=guess_contact(body, nearest_on_body(body, vertices, scan.points), scan)
             )
@@ -204,6 +204,6 @@ def _improve(
             from_body(outer, bones.place(outer), contact, level.robust),
         ]
         state = step(state, [bones], [terms], prior, active)
-    start.state = state
+    guess.state = state
     places = bones_of(body, state, 0).place(outer)
-    start.loss = misfit(body, vertices_of(body, state), places, scan, level.robust)
+    guess.loss = misfit(body, vertices_of(body, state), places, scan, level.robust)

@@ -1,6 +1,6 @@
-"""How likely a pose and a shape are by themselves: spread and limits of the joints' angles, normal betas.
+"""Prior of pose and shape: spread and limits of the joints' angles, and normally distributed betas.
 
-The table is anatomy in round numbers: what a joint does in standing, walking and sport. The axes are those of
+The table holds rounded anatomical ranges of standing, walking and sport. The axes are those of
 the rest pose (T-pose, +x the subject's left, +y up, +z forward), angles in degrees.
 """
 
@@ -14,7 +14,7 @@ import numpy as np
 from stages.register_template.fitting.bones import Doubles
 from stages.shared.body.skeleton import JOINT_COUNT, JOINT_INDEX, LEFT_HAND, RIGHT_HAND, SHAPE_COUNT
 
-_LIMIT_SPREAD = np.radians(4.0)  # an angle beyond its limit by this much costs as much as one spread
+_LIMIT_SPREAD = np.radians(4.0)  # an angle this far beyond its limit costs as much as one spread
 # Joint: spread about the rest pose, then [lowest, highest] about x, y, z. "left" stands for both sides:
 # about y and z the right side has the mirrored range.
 _TABLE: dict[str, tuple[float, tuple[tuple[float, float], ...]]] = {
@@ -44,17 +44,13 @@ class Prior:
     """Costs of poses and shapes, with derivatives for `solve.step`.
 
     Attributes:
-        weight: of the whole prior against the data.
         near: (T, 55, 3) poses that each frame should stay close to, or None.
         near_spread: (55,) radians by which they may differ.
-        shape_near: (10,) betas around which the shape spreads.
         shape_weight: of the betas' spread against that of the joints.
     """
 
-    weight: float = 1.0
     near: Doubles | None = None
     near_spread: Doubles | None = None
-    shape_near: Doubles | None = None
     shape_weight: float = 1.0
 
     def pose(self, rotations: Doubles, frame: int) -> tuple[Doubles, Doubles]:
@@ -73,19 +69,17 @@ class Prior:
         for joint in range(JOINT_COUNT):
             part = slice(3 * joint, 3 * joint + 3)
             change = _angle_by_turn(rotations[joint])
-            hessian[part, part] = self.weight * change.T @ (diagonal[part, None] * change)
-            tilted[part] = self.weight * change.T @ slope[part]
+            hessian[part, part] = change.T @ (diagonal[part, None] * change)
+            tilted[part] = change.T @ slope[part]
         return hessian, tilted
 
     def shape(self, betas: Doubles) -> tuple[Doubles, Doubles]:
         """Diagonal (10,) and slope (10,) with respect to the betas."""
-        centre = np.zeros(SHAPE_COUNT) if self.shape_near is None else self.shape_near
-        precision = self.weight * self.shape_weight / SHAPE_SPREAD**2
-        # Contours and scans outweigh a normal prior by far. Nobody is shaped beyond the limits.
-        low, high = np.minimum(-SHAPE_LIMIT, centre), np.maximum(SHAPE_LIMIT, centre)
-        beyond = np.where(betas > high, betas - high, np.where(betas < low, betas - low, 0.0))
+        precision = self.shape_weight / SHAPE_SPREAD**2
+        # Contours and scans outweigh a normal prior by far, so betas have limits, too.
+        beyond = betas - np.clip(betas, -SHAPE_LIMIT, SHAPE_LIMIT)
         diagonal = np.full(SHAPE_COUNT, precision) + (beyond != 0) * _SHAPE_WALL
-        return diagonal, precision * (betas - centre) + _SHAPE_WALL * beyond
+        return diagonal, precision * betas + _SHAPE_WALL * beyond
 
 
 def _angle_by_turn(vector: Doubles) -> Doubles:

@@ -123,7 +123,7 @@ class Build:
         self._manifest.summary.update(to_json(numbers))
 
     def measured(self, **numbers: Any) -> None:
-        """Numbers about this run that differ between runs (times, memory); kept beside the content."""
+        """Numbers about this run that differ between runs (times, memory); kept apart from the content."""
         self._measured.update(to_json(numbers))
 
     def __enter__(self) -> Build:

@@ -121,7 +121,7 @@ def read_bundle_bytes(path: Path, max_bytes: int = MAX_FILE_BYTES) -> bytearray:
 
 @dataclass(frozen=True)
 class BundleCard:
-    """What can be said of a bundle without reading its tensors.
+    """What the header of a bundle says.
 
     Attributes:
         manifest: as in `Bundle`. digest: as written; not compared with the tensors.
@@ -142,18 +142,12 @@ def read_card(path: Path, max_bytes: int = MAX_FILE_BYTES) -> BundleCard:
     header = _header_bytes(data, where)
     _checked_header(header, size - 8 - len(header), where)
     entries = strict_json(header)
-    notes = entries.pop("__metadata__")
-    if set(notes) != {_MANIFEST, _SEAL} or not all(isinstance(note, str) for note in notes.values()):
-        raise _refused("its metadata is not that of a bundle", where)
-    text = notes[_MANIFEST].encode()
-    if digest(text) != notes[_SEAL]:
-        raise _refused("its manifest does not match its checksum", where)
-    manifest = _manifest(text, where)
+    manifest, seal = _sealed_manifest(entries.pop("__metadata__"), where)
     if set(manifest.pop("tensors")) != set(entries):
         raise _refused("its manifest speaks of other tensors than it holds", where)
     tensors = {name: (str(entry["dtype"]), tuple(entry["shape"])) for name, entry in entries.items()}
     check_layout(manifest, tensors, where)
-    return BundleCard(manifest, notes[_SEAL], tensors, size)
+    return BundleCard(manifest, seal, tensors, size)
 
 
 def decode_bundle(data: bytearray, where: str) -> Bundle:
@@ -161,12 +155,7 @@ def decode_bundle(data: bytearray, where: str) -> Bundle:
     header = _header_bytes(data, where)
     _checked_header(header, len(data) - 8 - len(header), where)
     arrays, notes = decode_arrays(data, Path(where))
-    if set(notes) != {_MANIFEST, _SEAL}:
-        raise _refused("its metadata is not that of a bundle", where)
-    text = notes[_MANIFEST].encode()
-    if digest(text) != notes[_SEAL]:
-        raise _refused("its manifest does not match its checksum", where)
-    manifest = _manifest(text, where)
+    manifest, seal = _sealed_manifest(notes, where)
     tensors = manifest["tensors"]
     if set(tensors) != set(arrays):
         raise _refused("its manifest speaks of other tensors than it holds", where)
@@ -177,7 +166,7 @@ def decode_bundle(data: bytearray, where: str) -> Bundle:
     if bytes(encode_arrays(arrays, where, notes)[0])[8:] != header:
         raise _refused("its header is not written as bundles are", where)
     manifest.pop("tensors")
-    return Bundle(manifest, arrays, notes[_SEAL])
+    return Bundle(manifest, arrays, seal)
 
 
 def _read(path: Path, max_bytes: int, header_only: bool = False) -> tuple[bytearray, int]:
@@ -242,6 +231,16 @@ def _checked_header(header: bytes, data_bytes: int, where: str) -> None:
             raise _refused("a tensor lies outside the file", at)
 
 
+def _sealed_manifest(notes: dict[str, Any], where: str) -> tuple[dict[str, Any], str]:
+    """The manifest in the metadata of a file, checked, and its digest."""
+    if set(notes) != {_MANIFEST, _SEAL} or not all(isinstance(note, str) for note in notes.values()):
+        raise _refused("its metadata is not that of a bundle", where)
+    text = notes[_MANIFEST].encode()
+    if digest(text) != notes[_SEAL]:
+        raise _refused("its manifest does not match its checksum", where)
+    return _manifest(text, where), notes[_SEAL]
+
+
 def _manifest(text: bytes, where: str) -> dict[str, Any]:
     try:
         manifest = strict_json(text)
@@ -273,7 +272,7 @@ def _manifest(text: bytes, where: str) -> dict[str, Any]:
 
 
 def _check_plain(value: Any, where: str, depth: int = 0) -> None:
-    """Bounded depth and text length, and nothing that looks like a place on somebody's disk."""
+    """Bounded depth and text length, and no text that looks like an absolute path."""
     if depth > MAX_DEPTH:
         raise _refused(f"its manifest is nested deeper than {MAX_DEPTH}", where)
     if isinstance(value, Mapping):

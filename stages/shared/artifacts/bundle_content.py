@@ -111,7 +111,7 @@ def check_manifest(manifest: dict[str, Any], where: str) -> None:
 
 
 def _check_training(manifest: dict[str, Any], where: str) -> None:
-    """What is said about the training is only shown, but shown by every command that lists bundles."""
+    """Check what the manifest says about the training; every command that lists bundles shows it."""
     training, costs = manifest["training"], manifest.get("costs", {})
     for name, kind in (("source", str), ("config", dict), ("scores", dict)):
         if not isinstance(training.get(name, kind()), kind):
@@ -134,7 +134,7 @@ def layout_of(arrays: Arrays) -> Layout:
 def check_layout(manifest: dict[str, Any], layout: Layout, where: str) -> None:
     """Raise BadData unless every tensor that is needed is there, with a type and a shape that fit the others.
 
-    Only the header of a file is needed for this: whoever lists bundles checks as much.
+    This needs the header of a file only; commands that list bundles check as much.
     """
     for name, (_, shape) in layout.items():
         if 0 in shape and name != "maps/seams" and not name.startswith("swap/"):

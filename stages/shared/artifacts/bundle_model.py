@@ -72,7 +72,7 @@ class Ranks:
 
 @dataclass(frozen=True)
 class Name:
-    """A short text; whoever looks it up says whether it exists."""
+    """A short text; the code that looks it up reports an unknown one."""
 
     def accepts(self, value: Any) -> bool:
         return isinstance(value, str) and 0 < len(value) <= 40

@@ -43,7 +43,7 @@ def acquire(workspace: Path, on_first: Callable[[], None] = lambda: None) -> Non
         on_first: called once the lock is newly held, e.g. to clear what a killed process left behind.
 
     Raises:
-        Locked: another process (or thread) writes; told within a second, with its process id and host.
+        Locked: another process (or thread) writes; raised within a second, with its process id and host.
         StorageFailure: the lock file cannot be made.
     """
     make_folders(workspace)

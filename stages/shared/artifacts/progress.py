@@ -129,7 +129,7 @@ class Progress:
         return BadData(
             "A file of unfinished work is damaged.",
             str(path),
-            "Run the same command with --force to start anew.",
+            "Run the same command with --force to start again.",
         )
 
 

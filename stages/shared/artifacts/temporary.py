@@ -1,7 +1,7 @@
-"""Temporary files and folders: whoever fills one locks it, so what a killed run left can be told and removed.
+"""Temporary files and folders: a process locks each while it fills it, so stale ones can be removed.
 
-The operating system releases the lock when a process ends, however it ends. A temporary that nobody holds is
-therefore a left-over, and the next run that writes to the same folder removes it.
+The operating system releases the lock when a process ends, however it ends. A temporary without a lock is
+therefore stale, and the next run that writes to the same folder removes it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _swept: set[Path] = set()  # folders whose left-over files this process has remo
 
 
 def temporary_path(target: Path) -> Path:
-    """A hidden name beside `target` that no other process uses."""
+    """A hidden name in the folder of `target` that no other process uses."""
     return target.parent / f".{target.name}.tmp-{secrets.token_hex(6)}"
 
 
@@ -87,7 +87,7 @@ def sweep_folders(target: Path) -> None:
 
 @contextlib.contextmanager
 def _unclaimed(path: Path) -> Iterator[bool]:
-    """Whether nobody holds a temporary; it stays locked inside the block."""
+    """Whether no process holds a temporary; it stays locked inside the block."""
     descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

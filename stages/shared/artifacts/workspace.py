@@ -286,7 +286,7 @@ class Workspace:
     def _entries(
         self, inputs: Inputs, cache: DigestCache
     ) -> tuple[dict[str, InputEntry], dict[str, dict[str, str]]]:
-        """Inputs as the manifest records them, and for external files the listings to keep beside it."""
+        """Inputs as the manifest records them, and the listings of external files."""
         entries, listings = {}, {}
         for name, given in inputs.items():
             if isinstance(given, Artifact):

@@ -37,7 +37,7 @@ def canonical_rotations(dtype: torch.dtype = torch.float32) -> Tensor:
 
 
 def canonical_poses(frames: int = 1) -> Poses:
-    """The canonical pose, standing still with the mean shape, as a motion of so many frames."""
+    """The canonical pose, standing still with the mean shape, as a motion of `frames` frames."""
     rotations = np.tile(canonical_rotations().numpy(), (frames, 1, 1))
     zeros = np.zeros((frames, EXPRESSION_COUNT), np.float32)
     return Poses(rotations, zeros[:, :3], np.zeros(SHAPE_COUNT, np.float32), zeros)

@@ -53,9 +53,9 @@ def convert_poses(poses: Poses, source: BodyModel, target: BodyModel) -> Poses:
 def convert_betas(betas: NDArray[np.floating], source: BodyModel, target: BodyModel) -> Doubles:
     """(10,) betas of `target` whose rest vertices are nearest to those of `source` with `betas` (10,)."""
     shaped = source.template_vertices.astype(np.float64) + source.shape_directions @ betas.astype(np.float64)
-    wanted = (shaped - target.template_vertices).reshape(-1)
+    target_offsets = (shaped - target.template_vertices).reshape(-1)
     directions = target.shape_directions.reshape(-1, SHAPE_COUNT).astype(np.float64)
-    return np.asarray(np.linalg.lstsq(directions, wanted, rcond=None)[0], np.float64)
+    return np.asarray(np.linalg.lstsq(directions, target_offsets, rcond=None)[0], np.float64)
 
 
 def _convert_expression(
@@ -64,13 +64,13 @@ def _convert_expression(
     """(T, 10) expression of `target` with the displacements of `source`; zero where either has none."""
     if source.expression_directions is None or target.expression_directions is None or not expression.any():
         return np.zeros_like(expression)
-    given = source.expression_directions[..., :EXPRESSION_COUNT].astype(np.float64)
-    used = expression[:, : given.shape[-1]].astype(np.float64)
-    wanted = np.einsum("vce,te->vct", given, used).reshape(-1, len(expression))
+    source_directions = source.expression_directions[..., :EXPRESSION_COUNT].astype(np.float64)
+    used = expression[:, : source_directions.shape[-1]].astype(np.float64)
+    displacements = np.einsum("vce,te->vct", source_directions, used).reshape(-1, len(expression))
     directions = target.expression_directions[..., :EXPRESSION_COUNT].astype(np.float64)
-    found = np.linalg.lstsq(directions.reshape(-1, directions.shape[-1]), wanted, rcond=None)[0]
+    solution = np.linalg.lstsq(directions.reshape(-1, directions.shape[-1]), displacements, rcond=None)[0]
     result = np.zeros((len(expression), EXPRESSION_COUNT))
-    result[:, : len(found)] = found.T
+    result[:, : len(solution)] = solution.T
     return result
 
 

@@ -1,4 +1,4 @@
-"""Numbers out of an `.npz` that somebody else wrote: lazily, bounded, never an object."""
+"""Numbers from an `.npz` of unknown origin: read on demand, bounded in size, never as Python objects."""
 
 from __future__ import annotations
 

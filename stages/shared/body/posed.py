@@ -15,11 +15,11 @@ from stages.shared.body.poses import Poses
 Doubles = NDArray[np.float64]
 
 
-def posed_body(body: BodyModel, poses: Poses, row: int = 0) -> Doubles:
-    """Vertices (V, 3) of the body, world, metres."""
-    expression = torch.as_tensor(poses.expression[row], dtype=torch.float64)
+def posed_body(body: BodyModel, poses: Poses) -> Doubles:
+    """Vertices (V, 3) of the body in the first frame of a pose sequence, world, metres."""
+    expression = torch.as_tensor(poses.expression[0], dtype=torch.float64)
     with torch.no_grad():
-        return posed_vertices(body, *pose_tensors(poses, row, dtype=torch.float64), expression).numpy()
+        return posed_vertices(body, *pose_tensors(poses, 0, dtype=torch.float64), expression).numpy()
 
 
 def row_transforms(body: BodyModel, poses: Poses, row: int = 0) -> Doubles:

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from stages.canonicalize.unpose import unpose
+from stages.canonicalize.unpose import forward_skin, inverse_skin, unpose
 from stages.shared.body.canonical import canonical_from_rest, posed_from_canonical
-from stages.shared.body.inverse import forward_skin, inverse_skin
 from stages.shared.body.kinematics import posed_vertices, shaped_vertices, skin
 from stages.shared.body.load import embedded_body
 from stages.shared.body.model import BodyModel

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from stages.canonicalize.unpose import inverse_skin
 from stages.shared.avatar.deform import moved
 from stages.shared.body import (
     PARENTS,
@@ -22,7 +23,6 @@ from stages.shared.body import (
     shaped_vertices,
     skin,
 )
-from stages.shared.body.inverse import inverse_skin
 from stages.shared.finite import finite
 from stages.shared.quaternions import matrices_from_quaternions, unit_quaternions
 from tests.benchmarks.stability.function import Function, Inputs, unit, weights

@@ -16,8 +16,7 @@ from scipy.ndimage import gaussian_filter
 from stages.label.config import LabelConfig
 from stages.label.place import HAIR, SHOE, UPPER
 from stages.shared.layers import GARMENT_LABELS, LABEL_IDS, NO_LABEL, SKIN
-from stages.shared.meshes.graph_cut import alpha_expansion
-from stages.shared.meshes.labelling import edge_weights, tidy_labels
+from stages.shared.meshes.labelling import alpha_expansion, edge_weights, tidy_labels
 from stages.shared.meshes.regions import mesh_edges, vertex_areas
 
 Doubles = NDArray[np.float64]

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from stages.shared.meshes.graph_cut import alpha_expansion, energy, expand
+from stages.shared.meshes.labelling import alpha_expansion, energy, expand
 
 
 def problem(seed: int, count: int, labels: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

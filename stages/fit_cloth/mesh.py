@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from stages.fit_cloth.openings import close_holes, highest_rim
+from stages.fit_cloth.welding import weld
 from stages.shared.avatar.deform import blended, moved, shaped_positions
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.avatar.pose import frame_pose
@@ -51,8 +52,8 @@ def build_pattern(
     area = float(face_normals(layer["world_vertices"], layer["faces"])[1].sum())
     edge = float(np.sqrt(area / (_VERTEX_AREA * vertices)))
     joints = _joints(body, pose)
-    whole = close_holes(layer["world_vertices"].astype(np.float64), layer["faces"], joints)
-    rest, faces = simulation_mesh(*whole, edge)
+    sheet = weld(layer["world_vertices"].astype(np.float64), layer["faces"], edge)
+    rest, faces = simulation_mesh(*close_holes(*sheet, joints), edge)
     rest, faces = without_loose_pieces(rest, faces, pins(name, rest, faces, joints))
     attributes = _from_layer(layer, rest)
     collider = BodyCollider(body, pose.betas, material.skin_friction)

@@ -55,27 +55,42 @@ def collapse_short_edges(points: Doubles, faces: Indices, shortest: float) -> tu
     An end on the rim stays in place. An edge is left when its collapse would fold a face over or join two
     sheets (the link condition of Dey et al. 1999). Unused vertices remain.
     """
-    faces = faces.copy()
     refused: set[tuple[int, int]] = set()
-    while len(faces) > 1:
-        pairs = edges(faces)
-        lengths = np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1)
-        order = np.argsort(lengths, kind="stable")
-        short = [tuple(pairs[e]) for e in order if lengths[e] < shortest]
-        edge = next((pair for pair in short if pair not in refused), None)
-        if edge is None:
-            break
-        collapsed = _collapsed(points, faces, int(edge[0]), int(edge[1]))
-        if collapsed is None:
-            refused.add(edge)
-        else:
-            faces = collapsed
-    return points, faces
+    while True:
+        collapsed = _collapse_pass(points, faces, shortest, refused)
+        if len(collapsed) == len(faces):
+            return points, faces
+        faces = collapsed
 
 
-def _collapsed(points: Doubles, faces: Indices, a: int, b: int) -> Indices | None:
-    """Faces after one end of the edge moved to the other, or None where that is not safe."""
+def _collapse_pass(
+    points: Doubles, faces: Indices, shortest: float, refused: set[tuple[int, int]]
+) -> Indices:
+    """Faces after one pass over the short edges; an edge beside another collapse waits for the next pass."""
+    pairs = edges(faces)
+    lengths = np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1)
+    order = np.argsort(lengths, kind="stable")
     rim = boundary_edges(faces)
+    changed = np.zeros(len(points), dtype=bool)
+    for a, b in pairs[order[: int((lengths < shortest).sum())]].tolist():
+        around = faces[((faces == a) | (faces == b)).any(axis=1)]
+        if (a, b) in refused or changed[around].any():
+            continue
+        collapsed = _collapsed(points, faces, a, b, rim)
+        if collapsed is None:
+            refused.add((a, b))
+        else:
+            changed[around] = True
+            faces = collapsed
+    return faces
+
+
+def _collapsed(points: Doubles, faces: Indices, a: int, b: int, rim: Indices) -> Indices | None:
+    """Faces after one end of the edge moved to the other, or None where that is not safe.
+
+    Arguments:
+        rim: (K, 2) boundary edges; up to date around the edge.
+    """
     on_rim = np.isin([a, b], rim)
     edge_on_rim = bool(((rim == (a, b)) | (rim == (b, a))).all(axis=1).any())
     if on_rim.all() and not edge_on_rim:

@@ -92,7 +92,7 @@ def _in_child(mesh: Mesh, task: str, amount: float, time_limit: float) -> tuple[
     with tempfile.TemporaryDirectory(prefix="gw-remesh-") as folder:
         given, made = Path(folder) / "given.npz", Path(folder) / "made.npz"
         np.savez(given, vertices=mesh.vertices.astype(np.float64), faces=mesh.faces)
-        command = [sys.executable, "-m", __name__, task, repr(amount), str(given), str(made)]
+        command = [sys.executable, "-m", __name__, task, repr(float(amount)), str(given), str(made)]
         try:
             subprocess.run(
                 command, timeout=time_limit, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL

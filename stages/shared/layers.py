@@ -95,8 +95,9 @@ def in_order(names: Iterable[str]) -> list[str]:
 
 
 def garments_of(names: Iterable[str]) -> list[str]:
-    """All of `names` except the body, in the order given; a baseline's clothing counts as a garment."""
-    return [name for name in names if name != BODY]
+    """All of `names` except the body, inner to outer; a baseline's clothing counts as a garment."""
+    chosen = [name for name in names if name != BODY]
+    return in_order(chosen) + [name for name in chosen if name not in LAYERS]
 
 
 def label_legend() -> str:

@@ -11,7 +11,7 @@ def test_order_of_dressing_and_slots() -> None:
     assert layers.LAYERS == ("body", "lower", "upper", "outer")
     assert layers.LAYERS[1:] == layers.SLOTS
     assert layers.in_order({"outer", "body", "unknown", "lower"}) == ["body", "lower", "outer"]
-    assert layers.garments_of(["upper", "body", "lower"]) == ["upper", "lower"]
+    assert layers.garments_of(["outer", "upper", "body", "lower"]) == ["lower", "upper", "outer"]
 
 
 def test_ids_are_those_of_the_label_images() -> None:

@@ -27,6 +27,7 @@ Doubles = NDArray[np.float64]
 
 RESIDUAL_SHARE = 0.5  # of the mean residual: all of it fits the take and overstates other motions
 _LONGEST_CORRECTION = 0.05  # metres
+_STANDARD_ERRORS = 2.0  # of a paired difference that counts
 
 
 @dataclass(frozen=True)
@@ -36,10 +37,12 @@ class Agreement:
     Attributes:
         tracked: metres from the tracked garment, mean over frames and texels.
         outline: share of the garment's outline that is wrong (1 − IoU); None without label images.
+        samples: (K,) what is compared, by frame.
     """
 
     tracked: float
     outline: float | None
+    samples: Doubles
 
     @property
     def score(self) -> float:
@@ -78,12 +81,12 @@ class _Take:
         """Of a garment whose texels are at places(frame) (N, 3) m, world."""
         count = len(self.tracked.poses)
         rows = range(min(1, count - 1), count)  # the first frame is nearly the template
-        apart = float(np.mean([self.tracked.distance(row, places(row)) for row in rows]))
+        apart = np.array([self.tracked.distance(row, places(row)) for row in rows])
         if self.outlines is None:
-            return Agreement(apart, None)
-        observed = self.tracked.observed_all
-        wrong = [self.outlines.disagreement(row, places(row)[observed]) for row in self.outlines.views]
-        return Agreement(apart, float(np.mean(wrong)))
+            return Agreement(float(apart.mean()), None, apart)
+        observed, outlines = self.tracked.observed_all, self.outlines
+        wrong = np.array([outlines.disagreement(row, places(row)[observed]) for row in outlines.views])
+        return Agreement(float(apart.mean()), float(wrong.mean()), wrong)
 
 
 def fit_garment(
@@ -185,7 +188,18 @@ def _residual(
 
 
 def default_driver(drivers: dict[str, Agreement], faces: NDArray[np.int32], vertices: int) -> str:
-    """The best driver; never simulation of a mesh in several pieces, since nothing ties them together."""
+    """The best driver; simulation unless another one is significantly better.
+
+    Simulation is preferred because it does not know the take, and learned offsets do: in motions that are
+    unlike the take they fall behind. Another driver is better where the mean of the paired differences is
+    more than twice its standard error. A mesh in several pieces is never simulated by default, since nothing
+    ties them together.
+    """
     pieces = int(components(faces, vertices).max(initial=0)) + 1
-    possible = [driver for driver in drivers if driver != "simulated" or pieces == 1]
-    return min(possible, key=lambda driver: drivers[driver].score)
+    others = [driver for driver in drivers if driver != "simulated"]
+    best = min(others, key=lambda driver: drivers[driver].score)
+    if pieces > 1:
+        return best
+    worse = drivers["simulated"].samples - drivers[best].samples
+    error = worse.std(ddof=1) / np.sqrt(len(worse)) if len(worse) > 1 else 0.0
+    return best if worse.mean() > _STANDARD_ERRORS * error else "simulated"

@@ -1,10 +1,10 @@
 """One sheet from a garment in pieces: a scan ends where another garment begins, cloth does not.
 
-The visible part of a shirt and its part under a vest come from different surfaces of the template, and so do a
-skirt and its waist under a shirt. Simulated apart, the pieces would fall apart. Screened Poisson reconstruction
-(Kazhdan and Hoppe 2013, in open3d) lays one closed surface through the oriented faces of all pieces. It is
-remeshed while it is closed, so that its rims have no short edges. Of it remains what lies on a piece, and what
-lies between two pieces.
+The visible part of a shirt and its part under a vest come from different surfaces of the template. So do a
+skirt and its waist under a shirt. Simulated apart, the pieces would separate. Screened Poisson
+reconstruction (Kazhdan and Hoppe 2013, in open3d) lays one closed surface through the oriented faces of all
+pieces. It is remeshed while it is closed, so that its rims have no short edges. What lies on a piece remains,
+and what lies between two pieces.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.shared.meshes import Mesh, RayScene, components, face_normals, keep_faces
-from stages.shared.meshes.open3d_loader import load_open3d
+from stages.shared.meshes.raycast import load_open3d
 from stages.shared.meshes.remesh import remesh
 
 Doubles = NDArray[np.float64]

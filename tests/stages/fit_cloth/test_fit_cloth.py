@@ -13,6 +13,7 @@ from stages.fit_cloth.config import FitClothConfig
 from stages.fit_cloth.mesh import pins, with_material, without_loose_pieces
 from stages.fit_cloth.openings import close_holes, highest_rim, rims
 from stages.fit_cloth.outlines import Outlines, OutlineView, draw
+from stages.fit_cloth.welding import large_pieces, weld
 from stages.shared.artifacts import Workspace
 from stages.shared.body import embedded_body
 from stages.shared.cloth.material import TIGHT
@@ -135,13 +136,51 @@ def test_a_loose_piece_is_left_out_and_large_pieces_stay() -> None:
     assert len(without_loose_pieces(vertices, triangles, pinned)[0]) == 60
 
 
+def agreement(*samples: float) -> Agreement:
+    return Agreement(0.02, float(np.mean(samples)), np.array(samples))
+
+
+ONE_PIECE = (np.array([[0, 1, 2], [1, 3, 2]], np.int32), 4)
+
+
 def test_a_mesh_in_pieces_is_not_simulated_by_default() -> None:
     drivers = {
-        "bones": Agreement(0.02, 0.2),
-        "simulated": Agreement(0.01, 0.1),
-        "learned": Agreement(0.02, 0.15),
+        "bones": agreement(0.2, 0.2),
+        "simulated": agreement(0.1, 0.1),
+        "learned": agreement(0.15, 0.15),
     }
-    one = np.array([[0, 1, 2], [1, 3, 2]], np.int32)
-    two = np.array([[0, 1, 2], [3, 4, 5]], np.int32)
-    assert default_driver(drivers, one, 4) == "simulated"
-    assert default_driver(drivers, two, 6) == "learned"
+    assert default_driver(drivers, *ONE_PIECE) == "simulated"
+    assert default_driver(drivers, np.array([[0, 1, 2], [3, 4, 5]], np.int32), 6) == "learned"
+
+
+def test_another_driver_than_simulation_must_be_significantly_better() -> None:
+    noisy = {"simulated": agreement(0.11, 0.20, 0.14), "learned": agreement(0.15, 0.13, 0.14)}
+    steady = {"simulated": agreement(0.15, 0.20, 0.16), "learned": agreement(0.13, 0.18, 0.14)}
+    assert default_driver(noisy, *ONE_PIECE) == "simulated"
+    assert default_driver(steady, *ONE_PIECE) == "learned"
+
+
+def test_pieces_are_welded_to_one_sheet_and_openings_stay() -> None:
+    vertices, faces = tube(48, 24)
+    height = vertices[faces][:, :, 1].mean(axis=1)
+    apart = faces[(height < -0.12) | (height > -0.09)]  # a gap of three to five centimetres around
+    assert len(large_pieces(apart, len(vertices))) == 2
+    whole, triangles = weld(vertices, apart, edge=0.03)
+    assert len(large_pieces(triangles, len(whole))) == 1
+    sides = [rim for rim in rims(triangles, len(whole)) if len(rim) > 20]
+    heights = sorted(whole[rim[:, 0], 1].mean() for rim in sides)
+    np.testing.assert_allclose(heights, [-0.3, 0.1], atol=0.015)
+    np.testing.assert_allclose(np.linalg.norm(whole[:, [0, 2]], axis=1), 0.2, atol=0.012)
+
+
+def test_a_garment_in_one_piece_is_not_welded() -> None:
+    vertices, faces = tube()
+    assert weld(vertices, faces, edge=0.03)[0] is vertices
+
+
+def test_pieces_far_apart_stay_apart() -> None:
+    vertices, faces = tube(48, 24)
+    height = vertices[faces][:, :, 1].mean(axis=1)
+    apart = faces[(height < -0.18) | (height > -0.03)]
+    whole, triangles = weld(vertices, apart, edge=0.03)
+    assert len(large_pieces(triangles, len(whole))) == 2

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -25,6 +24,7 @@ from stages.shared.avatar.used_joints import GROUPS, describe_rest
 from stages.shared.body import BodyModel, Poses
 from stages.shared.errors import UsageProblem
 from stages.shared.layers import LAYERS
+from stages.shared.memory import REFUSED_ABOVE, available_bytes, is_memory_error
 from stages.train.config import TrainConfig
 from stages.train.distributed import on_this_machine
 from stages.train.source import Source
@@ -51,8 +51,6 @@ _PCA_FLOATS = 7  # per value of a positional map in one frame
 _OTHER_FILES = 16 << 20  # bytes of metrics and previews
 _SAMPLES = 6  # pictures that are measured for `Extent.pixels`
 _MOST_POSES = 400  # rows of a take in which joints at rest are looked for
-_REFUSED_ABOVE = 0.9  # of the free memory
-_TORCH_MESSAGES = ("not enough memory", "can't allocate memory", "out of memory", "bad_alloc")
 
 
 @dataclass(frozen=True)
@@ -208,16 +206,6 @@ def _follows(layer: LayerMaps, group: str) -> bool:
     return bool((layer.skin_weights[:, list(GROUPS[group].members)] > 0).any())
 
 
-def available_bytes(meminfo: Path = Path("/proc/meminfo")) -> int | None:
-    """Memory that a new process can have; None where the system does not tell."""
-    try:
-        lines = meminfo.read_text().splitlines()
-    except OSError:
-        return None
-    rows = [line.split() for line in lines if line.startswith("MemAvailable:")]
-    return int(rows[0][1]) * 1024 if rows and len(rows[0]) > 1 and rows[0][1].isdigit() else None
-
-
 def refuse_if_scarce(needed: int, available: int | None, fixes: Callable[[], dict[str, int]]) -> None:
     """End a run that is not likely to fit, before it starts.
 
@@ -228,7 +216,7 @@ def refuse_if_scarce(needed: int, available: int | None, fixes: Callable[[], dic
     Raises:
         UsageProblem: more than nine tenths of the free memory are needed.
     """
-    if available is None or needed <= _REFUSED_ABOVE * available:
+    if available is None or needed <= REFUSED_ABOVE * available:
         return
     raise UsageProblem(
         f"This run needs about {needed / 1e9:.1f} GB of memory, and {available / 1e9:.1f} GB are free.",
@@ -240,7 +228,7 @@ def refuse_if_scarce(needed: int, available: int | None, fixes: Callable[[], dic
 def cure(fixes: dict[str, int], available: int | None) -> str:
     """The first of these options that fits, or other advice."""
     for option, needed in fixes.items():
-        if available is None or needed <= _REFUSED_ABOVE * available:
+        if available is None or needed <= REFUSED_ABOVE * available:
             return f"Use {option}, which needs about {needed / 1e9:.1f} GB."
     return (
         "Learn from fewer frames (--frame-step, --track-step), close other programs, or use another machine."
@@ -256,9 +244,8 @@ def memory_named(needed: int, fixes: Callable[[], dict[str, int]]) -> Iterator[N
     """
     try:
         yield
-    except (MemoryError, torch.OutOfMemoryError, RuntimeError) as error:
-        text = str(error).lower()
-        if isinstance(error, RuntimeError) and not any(words in text for words in _TORCH_MESSAGES):
+    except (MemoryError, RuntimeError) as error:
+        if not is_memory_error(error):
             raise
         raise UsageProblem(
             f"Memory ran out; this run was estimated at {needed / 1e9:.1f} GB.",

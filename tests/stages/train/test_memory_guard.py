@@ -16,7 +16,6 @@ from stages.shared.errors import StorageFailure, UsageProblem
 from stages.train import estimate, stage
 from stages.train.config import PRESETS, TrackConfig
 from stages.train.estimate import (
-    available_bytes,
     cure,
     extent_of,
     memory_bytes,
@@ -28,7 +27,7 @@ from stages.train.trainer import Trainer
 from tests.stages.train.scene import TINY, make_subject, tiny
 
 
-def test_scarce_memory_is_refused_with_what_fits(tmp_path: Path) -> None:
+def test_scarce_memory_is_refused_with_what_fits() -> None:
     fixes = {"--recompute": 2_500_000_000, "--preset draft": 1_500_000_000}
     with pytest.raises(UsageProblem, match=r"3\.0 GB of memory, and 2\.0 GB are free") as caught:
         refuse_if_scarce(3_000_000_000, 2_000_000_000, lambda: fixes)
@@ -36,9 +35,6 @@ def test_scarce_memory_is_refused_with_what_fits(tmp_path: Path) -> None:
     assert "another machine" in cure(fixes, 1_000_000_000)
     for available in (None, 4_000_000_000):
         refuse_if_scarce(3_000_000_000, available, dict)
-    (tmp_path / "meminfo").write_text("MemTotal: 9 kB\nMemAvailable:   2048 kB\n")
-    assert available_bytes(tmp_path / "meminfo") == 2048 * 1024
-    assert available_bytes(tmp_path / "none") is None
 
 
 def test_a_run_that_cannot_fit_is_refused_before_it_starts(

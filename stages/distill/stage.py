@@ -18,8 +18,7 @@ import numpy as np
 import torch
 
 from stages.distill.config import DistillConfig
-from stages.distill.fit import Fit, fit_layer
-from stages.distill.samples import Samples, sample_poses
+from stages.distill.fit import Fit, Samples, fit_layer, sample_poses
 from stages.pipeline import DISTILL
 from stages.shared.artifacts import Artifact, ExternalFiles, Workspace
 from stages.shared.artifacts.spec import StageResult

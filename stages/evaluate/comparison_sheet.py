@@ -12,7 +12,7 @@ from stages.evaluate.methods import Method, TrainedMethod
 from stages.evaluate.score_table import subject_crop
 from stages.evaluate.views import FrameViews
 from stages.shared.capture.take import MASK_THRESHOLD
-from stages.shared.metrics.psnr import psnr
+from stages.shared.metrics.picture import psnr
 from stages.shared.metrics.ssim import ssim_in_box
 from stages.shared.outfit.outfit import Outfit
 

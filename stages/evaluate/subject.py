@@ -33,8 +33,7 @@ from stages.shared.capture.subject import open_subject_capture
 from stages.shared.capture.true_meshes import TrueMeshes, true_meshes_of
 from stages.shared.errors import MissingInput, UsageProblem
 from stages.shared.losses.perceptual import Perceptual
-from stages.shared.outfit.cloth_fit import fitted_cloth
-from stages.shared.outfit.trained_subject import TrainedSubject
+from stages.shared.outfit.trained_subject import TrainedSubject, fitted_cloth
 from stages.shared.pictures.parts import Share
 from stages.shared.plan import Plan
 from stages.shared.poses.read import load_poses

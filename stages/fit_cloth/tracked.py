@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from stages.shared.avatar.deform import blended, moved, shaped_positions
-from stages.shared.avatar.motion import recent_motion
-from stages.shared.avatar.pose import FramePose, frame_pose
+from stages.shared.avatar.pose import FramePose, frame_pose, recent_motion
 from stages.shared.body import BodyModel, Poses
 from stages.shared.outfit.layer import WornLayer
 

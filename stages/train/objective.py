@@ -31,8 +31,7 @@ from stages.shared.losses.surface import (
     smooth_loss,
 )
 from stages.shared.splat.api import render_gaussians
-from stages.shared.splat.gaussians import Gaussians
-from stages.shared.splat.rendering import Rendering
+from stages.shared.splat.gaussians import Gaussians, Rendering
 from stages.train.config import LossWeights
 from stages.train.views import View
 

@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from stages.shared.avatar.compose import compose
-from stages.shared.avatar.covering_discs import covering_discs
 from stages.shared.avatar.decoders.base import Decoder
 from stages.shared.avatar.deform import PosedGaussians, pose_layer
-from stages.shared.avatar.fabric_fill import continue_fabric
+from stages.shared.avatar.fabric_fill import continue_fabric, covering_discs
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.avatar.pose import FramePose
 from stages.shared.capture import Camera

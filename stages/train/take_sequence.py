@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from stages.shared.avatar.motion import time_constant
+from stages.shared.avatar.pose import time_constant
 from stages.shared.body import BodyModel, Poses, shaped_joints
 from stages.shared.capture import Camera, Take
 from stages.shared.capture.camera import Box

@@ -13,8 +13,7 @@ from torch import Tensor
 from stages.shared.avatar.compose import compose
 from stages.shared.avatar.decoders.base import Decoder
 from stages.shared.avatar.deform import PosedGaussians, pose_layer, view_cosines
-from stages.shared.avatar.motion import recent_motion
-from stages.shared.avatar.pose import FramePose, pose_at
+from stages.shared.avatar.pose import FramePose, pose_at, recent_motion
 from stages.shared.capture import Camera
 from stages.shared.errors import BadData
 from stages.shared.losses.perceptual import Perceptual, face_box, face_centre

@@ -27,8 +27,7 @@ from stages.shared.avatar.config import ModelConfig
 from stages.shared.avatar.decoders.base import Decoder
 from stages.shared.avatar.decoders.registry import load_decoder
 from stages.shared.avatar.maps import LayerMaps
-from stages.shared.avatar.motion import motion_length, recent_motion
-from stages.shared.avatar.pose import FramePose
+from stages.shared.avatar.pose import FramePose, motion_length, recent_motion
 from stages.shared.body import BodyModel, Poses, shaped_vertices
 from stages.shared.errors import MissingInput, UsageProblem
 from stages.shared.layers import BODY, in_order

@@ -22,9 +22,9 @@ from stages.shared.capture.camera import Camera
 from stages.shared.errors import UsageProblem
 from stages.shared.layers import SLOTS
 from stages.shared.outfit.cached_poser import CachedPoser
-from stages.shared.outfit.foot_height import fix_foot_height
 from stages.shared.outfit.outfit import Outfit
 from stages.shared.outfit.render_image import render_image
+from stages.shared.outfit.retarget import fix_foot_height
 from stages.shared.outfit.sources import parse_betas
 from stages.shared.outfit.viewpoints import viewpoint_cameras
 from stages.shared.pictures.background import read_background

@@ -27,7 +27,7 @@ from stages.shared.artifacts.files import write_whole
 from stages.shared.body import Poses
 from stages.shared.capture.camera import Camera
 from stages.shared.errors import UsageProblem
-from stages.shared.metrics.psnr import psnr
+from stages.shared.metrics.picture import psnr
 from stages.shared.outfit.outfit import outfit_of_bundles
 from stages.shared.outfit.render_image import render_image
 from stages.shared.outfit.sources import read_bundles

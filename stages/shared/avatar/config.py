@@ -31,7 +31,7 @@ class ModelConfig:
             follows its bones); 0 for none. At most the number of training frames. anchor_cell: texels per
             cell of their coarse maps. anchor_widths: "shared", one kernel width for all anchors, or "own", as
             the poses around each are near or far. history: memories of recent motion by which anchors tell
-            poses apart (`stages/shared/avatar/motion.py`); 0 for the pose alone.
+            poses apart (`stages/shared/avatar/pose.py`); 0 for the pose alone.
         pose_prior: directions of the PCA of positional maps on which poses unlike the training's are
             projected for the networks (`stages/shared/avatar/pose_prior.py`); 0 for none. pose_sigma:
             standard deviations that such a pose may depart along each.

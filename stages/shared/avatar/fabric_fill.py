@@ -1,10 +1,10 @@
-"""Colours for the texels of a garment that no image shows: the fabric goes on.
+"""Texels of a garment that no image shows: the fabric continues, as discs that cover the surface.
 
 The front and the back map are laid side by side. From the border inwards, each unseen texel takes the colour
 of the seen texel whose surroundings are most like its own, so that stripes, dots and checks continue. This is
 non-parametric sampling (Efros and Leung 1999) with the best match instead of a random good one. OpenCV's
-`xphoto` has a faster search, but it does not always give the same bytes.
-Texels on peeled sheets take the colour of the nearest texel on the two outer sheets.
+`xphoto` has a faster search, but it does not always give the same bytes. Texels on peeled sheets take the
+colour of the nearest texel on the two outer sheets.
 """
 
 from __future__ import annotations
@@ -16,12 +16,17 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 from torch import Tensor
+from torch.nn import functional
 
 from stages.shared.avatar.maps import LayerMaps
 
 _LEAST_SOURCE = 64  # seen texels; fewer are no pattern, and the unseen ones take their median
 _PATCH = 0.06  # m, side of the patches that are compared: about a period of a pattern
 _MOST_PATCHES = 4096
+_COVER = 0.75  # standard deviation of a disc per distance to its neighbours; covers 98 % between them
+_LONGEST = 2.0  # pitches; at the rim of a limb, longer discs would stand out from it
+_FLATNESS = 0.3
+_OPACITY = 0.97
 
 
 def continue_fabric(maps: LayerMaps, colors: Tensor, seen: NDArray[np.bool_]) -> Tensor:
@@ -140,3 +145,29 @@ def _from_outer_sheets(
         positions = maps.positions.cpu().numpy()
         _, nearest = cKDTree(positions[outer]).query(positions[inner])
         filled[inner] = filled[np.flatnonzero(outer)[nearest]]
+
+
+def covering_discs(maps: LayerMaps) -> tuple[Tensor, Tensor, Tensor]:
+    """Quaternions (N, 4), scales (N, 3) m and opacities (N,) of discs that cover the surface they lie in.
+
+    Texels are one pitch apart on the map, and farther apart where the surface slopes away. The size of a disc
+    along each axis is the distance to its neighbours along it.
+    """
+    import roma  # loads the whole of torch._dynamo: two seconds
+
+    normals = functional.normalize(maps.normals, dim=1)
+    down = normals.new_tensor([0.0, 0.0, 1.0]) - normals[:, 2:] * normals
+    flat = down.norm(dim=1, keepdim=True) < 1e-3  # facing front or back: any direction will do
+    down = functional.normalize(torch.where(flat, normals.new_tensor([1.0, 0.0, 0.0]), down), dim=1)
+    across = functional.normalize(torch.linalg.cross(normals, down), dim=1)
+    axes = torch.stack((torch.linalg.cross(across, normals), across, normals), dim=2)
+    first, second = (torch.from_numpy(end) for end in maps.links())
+    away = ((maps.positions[second] - maps.positions[first])[:, None] @ axes[first, :, :2])[:, 0].abs()
+    ahead = functional.one_hot(away.argmax(dim=1), 2) * (away > 0)  # the axis that a neighbour lies on
+    count = away.new_zeros(len(maps), 2).index_add(0, first, ahead.to(away))
+    total = away.new_zeros(len(maps), 2).index_add(0, first, ahead * away)
+    spacing = torch.where(count > 0, total / count.clamp(min=1), maps.pitch).clamp(max=_LONGEST * maps.pitch)
+    thickness = _FLATNESS * spacing.min(dim=1, keepdim=True).values
+    quaternions = roma.rotmat_to_unitquat(axes)[:, [3, 0, 1, 2]]
+    scales = _COVER * torch.cat((spacing, thickness), dim=1)
+    return quaternions, scales, torch.full_like(maps.spacing, _OPACITY)

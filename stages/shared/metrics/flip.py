@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.shared.metrics.psnr import Picture, check_pictures
+from stages.shared.metrics.picture import Picture, check_pictures
 
 PIXELS_PER_DEGREE = 0.7 * (3840 / 0.7) * np.pi / 180  # 0.7 m before a 0.7 m wide screen of 3840 px
 REACH = 13  # px that a pixel's surroundings matter, at that distance

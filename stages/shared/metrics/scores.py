@@ -14,9 +14,7 @@ from stages.shared.capture.take import MASK_THRESHOLD
 from stages.shared.layers import REGIONS
 from stages.shared.losses.perceptual import Perceptual, mask_box, square_crop
 from stages.shared.metrics.flip import flip
-from stages.shared.metrics.psnr import Picture, psnr
-from stages.shared.metrics.segmentation import iou, segmentation_scores
-from stages.shared.metrics.sharpness import sharpness
+from stages.shared.metrics.picture import Picture, iou, psnr, segmentation_scores, sharpness
 from stages.shared.metrics.ssim import ms_ssim, ssim, ssim_in_box
 
 Scores = dict[str, float | None]

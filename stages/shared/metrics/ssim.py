@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.shared.metrics.psnr import PEAK, Picture, check_pictures
+from stages.shared.metrics.picture import PEAK, Picture, check_pictures
 
 WINDOW = 11
 _SIGMA = 1.5

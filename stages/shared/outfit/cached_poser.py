@@ -13,8 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from stages.shared.avatar.motion import recent_motions
-from stages.shared.avatar.pose import FramePose, pose_at
+from stages.shared.avatar.pose import FramePose, pose_at, recent_motions
 from stages.shared.avatar.posing import PosedBuffers, PosedLayer, Replacement
 from stages.shared.body import Poses
 from stages.shared.layers import BODY

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from stages.shared.artifacts.bundle import Bundle
 from stages.shared.avatar.compose import compose, relabelled
 from stages.shared.avatar.deform import PosedGaussians, pose_layer
-from stages.shared.avatar.motion import recent_motion
-from stages.shared.avatar.pose import pose_at
+from stages.shared.avatar.pose import pose_at, recent_motion
 from stages.shared.body import BodyModel, Poses
 from stages.shared.errors import BadData, UsageProblem
 from stages.shared.layers import BODY, LAYERS

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.shared.layers import BODY
-from stages.shared.splat.rendering import Rendering
+from stages.shared.splat.gaussians import Rendering
 
 if TYPE_CHECKING:
     from stages.shared.splat.cpu_layers import LayeredView

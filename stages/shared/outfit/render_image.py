@@ -13,8 +13,7 @@ from stages.shared.outfit.layer import label_of
 from stages.shared.outfit.penetration import PenetrationConfig, resolve_penetration, resolve_penetration_tiles
 from stages.shared.outfit.postprocess import postprocess
 from stages.shared.splat.api import render_gaussians
-from stages.shared.splat.gaussians import Gaussians
-from stages.shared.splat.rendering import Rendering
+from stages.shared.splat.gaussians import Gaussians, Rendering
 from stages.shared.splat.settings import SplatSettings
 
 Floats = NDArray[np.float32]

@@ -1,8 +1,11 @@
-"""Retargets a garment that was learned with one body model to a wearer with another.
+"""Retargets garments and motions to another wearer.
 
-Every body model of the SMPL-X convention has the same bones in the same canonical pose, but at other
-positions, and its shape coefficients have another meaning. The garment's points move with the canonical
-positions of the bones; its skinning weights and shape directions become those of the wearer's nearest texels.
+Garments: every body model of the SMPL-X convention has the same bones in the same canonical pose, but at
+other positions, and its shape coefficients have another meaning. The points of a garment move with the
+canonical positions of the bones. Its skinning weights and shape directions become those of the wearer's
+nearest texels.
+
+Motions: the path of the pelvis is scaled to the length of the legs, and the feet stay on the floor.
 """
 
 from __future__ import annotations
@@ -15,12 +18,23 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from stages.shared.artifacts.bundle import Bundle
-from stages.shared.body import BodyModel, canonical_from_rest, shaped_joints
+from stages.shared.body import (
+    JOINT_INDEX,
+    BodyModel,
+    Poses,
+    canonical_from_rest,
+    posed_vertices,
+    shaped_joints,
+)
+from stages.shared.body.posed import pose_tensors
 from stages.shared.cloth.pattern import ClothPattern
 from stages.shared.outfit.layer import WornLayer
 
 _NEAREST = 8
 _LEAST_DISTANCE = 1e-3  # m
+_SIDES = ("left", "right")
+_SAMPLES = 24  # frames in which the floor is measured
+Floats = NDArray[np.float32]
 
 
 def canonical_joints(body: BodyModel) -> NDArray[np.float32]:
@@ -83,3 +97,43 @@ def _retarget_cloth(cloth: ClothPattern | None, shift: torch.Tensor, body: WornL
         skin_weights=(skin * weights[..., None]).sum(axis=1),
         shape_directions=(directions * weights[..., None, None]).sum(axis=1),
     )
+
+
+def fix_foot_height(poses: Poses, body: BodyModel, betas: Floats) -> Poses:
+    """The motion for a wearer of shape `betas` (10,); unchanged where the motion was made for that shape.
+
+    The path of the pelvis is scaled by the ratio of the leg lengths, about its first position on the floor.
+    Then the lowest vertex of the clip gets the height it had before. The floor is assumed to be level.
+    """
+    if np.allclose(poses.betas, betas, atol=1e-6) or not len(poses):
+        return poses
+    made_for, wearer = (_rest(body, shape) for shape in (poses.betas, betas))
+    ratio = _leg_length(wearer) / _leg_length(made_for)
+    frames = np.unique(np.linspace(0, len(poses) - 1, _SAMPLES).round().astype(int))
+    floor = _lowest(poses, body, poses.betas, frames)
+    pelvis = poses.translation.astype(np.float64) + made_for[0]
+    origin = pelvis[0] * [1, 0, 1] + [0, floor, 0]
+    translation = origin + ratio * (pelvis - origin) - wearer[0]
+    moved = replace(poses, translation=translation.astype(np.float32), betas=np.asarray(betas, np.float32))
+    translation[:, 1] += floor - _lowest(moved, body, betas, frames)
+    return replace(moved, translation=translation.astype(np.float32))
+
+
+def _rest(body: BodyModel, betas: Floats) -> NDArray[np.float64]:
+    """(55, 3) m joints at rest."""
+    return shaped_joints(body, torch.from_numpy(np.asarray(betas, np.float32))).double().numpy()
+
+
+def _leg_length(joints: NDArray[np.float64]) -> float:
+    """Hip to knee to ankle, mean of both sides."""
+    sides = [[joints[JOINT_INDEX[f"{side}_{name}"]] for name in ("hip", "knee", "ankle")] for side in _SIDES]
+    return float(np.mean([np.linalg.norm(b - a) + np.linalg.norm(c - b) for a, b, c in sides]))
+
+
+def _lowest(poses: Poses, body: BodyModel, betas: Floats, frames: NDArray[np.intp]) -> float:
+    """Lowest height of any vertex of the body in these frames."""
+    lowest = np.inf
+    for frame in frames:
+        vertices = posed_vertices(body, *pose_tensors(poses, int(frame), betas))
+        lowest = min(lowest, float(vertices[:, 1].min()))
+    return lowest

@@ -1,18 +1,29 @@
-"""A trained subject: the three artifacts that hold a person and the clothes it was captured in."""
+"""Which fit-cloth artifact of a subject belongs to its present training."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
 
-from stages.pipeline import BAKE_MAPS, DISTILL, REGISTER_TEMPLATE, TRAIN
+from stages.pipeline import BAKE_MAPS, DISTILL, FIT_CLOTH, REGISTER_TEMPLATE, TRAIN
 from stages.shared.artifacts import Artifact, Workspace
 from stages.shared.body import BodyModel, Poses
 from stages.shared.layers import BASELINE_LAYERS, LAYERS
-from stages.shared.outfit.cloth_fit import fitted_cloth
 from stages.shared.outfit.layer import WornLayer, layer_of_training, with_cloth
 from stages.shared.outfit.outfit import Outfit
 from stages.shared.poses.read import load_poses
+
+
+def fitted_cloth(workspace: Workspace) -> Artifact | None:
+    """The fit-cloth artifact in use; None when there is none, or when it was fitted to another training."""
+    fitted = workspace.current(FIT_CLOTH)
+    if fitted is None:
+        return None
+    for spec in (BAKE_MAPS, TRAIN):
+        made_from, present = fitted.manifest.inputs.get(spec.name), workspace.current(spec)
+        if made_from is None or present is None or made_from.digest != present.digest:
+            return None
+    return fitted
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,8 @@ from scipy.sparse.linalg import cg
 from torch import Tensor
 from torch.nn import functional
 
-from stages.shared.avatar.covering_discs import covering_discs
 from stages.shared.avatar.deform import Attributes
+from stages.shared.avatar.fabric_fill import covering_discs
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.losses.surface import hand_texels
 from stages.shared.outfit.coverage import FEATHER, covered_weights, same_grid

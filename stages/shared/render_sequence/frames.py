@@ -37,7 +37,6 @@ from stages.shared.outfit.parallel_frames import parallel_frames, threads_restor
 from stages.shared.outfit.render_image import render_image
 from stages.shared.outfit.visibility_culling import LEAST_PICTURES, find_hidden_texels
 from stages.shared.pictures.parts import RECORDS, Share
-from stages.shared.render_sequence.estimate import frames_at_a_time
 from stages.shared.render_sequence.files import (
     picture_name,
     write_exports,
@@ -45,7 +44,13 @@ from stages.shared.render_sequence.files import (
     write_sheet,
     write_video,
 )
-from stages.shared.render_sequence.outputs import SequenceFrame, SequenceOutputs, SequenceSummary, video_rate
+from stages.shared.render_sequence.outputs import (
+    SequenceFrame,
+    SequenceOutputs,
+    SequenceSummary,
+    frames_at_a_time,
+    video_rate,
+)
 from stages.shared.report import Report
 
 

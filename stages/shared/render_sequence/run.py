@@ -29,9 +29,15 @@ from stages.shared.pictures.parts import finish, parse_share, part_folder
 from stages.shared.pictures.video import chosen_suffix
 from stages.shared.plan import Plan
 from stages.shared.render_sequence.config import RenderConfig
-from stages.shared.render_sequence.estimate import memory_bytes, require_frame
 from stages.shared.render_sequence.frames import assemble, write_frames
-from stages.shared.render_sequence.outputs import SequenceOutputs, SequenceSummary, check_passes, video_rate
+from stages.shared.render_sequence.outputs import (
+    SequenceOutputs,
+    SequenceSummary,
+    check_passes,
+    memory_bytes,
+    require_frame,
+    video_rate,
+)
 from stages.shared.render_sequence.sequence import RenderSequence, open_sequence
 from stages.shared.report import SILENT, Report
 from stages.shared.splat.settings import SplatSettings

@@ -14,8 +14,8 @@ from stages.shared.body import Poses, canonical_poses
 from stages.shared.capture import Take, open_capture
 from stages.shared.errors import MissingInput, UsageProblem
 from stages.shared.input_files import CANONICAL
-from stages.shared.outfit.foot_height import fix_foot_height
 from stages.shared.outfit.outfit import Outfit, outfit_of_bundles
+from stages.shared.outfit.retarget import fix_foot_height
 from stages.shared.outfit.sources import capture_take, parse_betas, parse_frames, read_bundles
 from stages.shared.outfit.trained_subject import TrainedSubject
 from stages.shared.outfit.viewpoints import viewpoint_cameras

@@ -19,8 +19,7 @@ from torch import Tensor
 
 from stages.shared.capture.camera import Camera
 from stages.shared.errors import UsageProblem
-from stages.shared.splat.gaussians import Gaussians
-from stages.shared.splat.rendering import Rendering
+from stages.shared.splat.gaussians import Gaussians, Rendering
 from stages.shared.splat.scene import Scene, make_scene
 from stages.shared.splat.settings import SplatSettings
 

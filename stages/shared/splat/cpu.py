@@ -23,10 +23,10 @@ from stages.shared.splat.cpu_steps import (
     camera_numbers,
     view_backward,
 )
+from stages.shared.splat.gaussians import Rendering
 from stages.shared.splat.kernels import layout
 from stages.shared.splat.kernels.compiling import announce_to
 from stages.shared.splat.kernels.project_backward import LARGEST
-from stages.shared.splat.rendering import Rendering
 from stages.shared.splat.scene import Scene, check_gaussians
 from stages.shared.splat.settings import SplatSettings
 

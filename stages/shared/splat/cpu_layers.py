@@ -20,11 +20,10 @@ from stages.shared.splat.cpu_steps import (
     blend_view,
     camera_numbers,
 )
-from stages.shared.splat.gaussians import Gaussians
+from stages.shared.splat.gaussians import Gaussians, Rendering
 from stages.shared.splat.kernels import layout
 from stages.shared.splat.kernels.penetration import ALONE_CHANNELS, mark_shown, resolve_tiles
 from stages.shared.splat.kernels.threads import run_parallel, run_serial
-from stages.shared.splat.rendering import Rendering
 from stages.shared.splat.scene import Scene, check_gaussians, make_scene
 from stages.shared.splat.settings import SplatSettings
 

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from stages.shared.errors import MissingInput
-from stages.shared.splat.rendering import Rendering
+from stages.shared.splat.gaussians import Rendering
 from stages.shared.splat.scene import Scene, check_gaussians
 from stages.shared.splat.settings import ALPHA_MIN, TRANSMITTANCE_MIN, SplatSettings
 

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from stages.shared.quaternions import matrices_from_quaternions
-from stages.shared.splat.rendering import Rendering, stacked
+from stages.shared.splat.gaussians import Rendering, stacked
 from stages.shared.splat.scene import Scene, check_gaussians
 from stages.shared.splat.settings import (
     ALPHA_MAX,

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from stages.shared.errors import MissingInput
 from stages.shared.splat import cuda, reference
-from stages.shared.splat.rendering import Rendering
+from stages.shared.splat.gaussians import Rendering
 from tests.benchmarks.splat.figure import Figure
 
 

@@ -11,7 +11,7 @@ from stages.shared.body.model import BodyModel
 from stages.shared.body.posed import pose_tensors
 from stages.shared.body.poses import Poses
 from stages.shared.layers import LAYER_OF_LABEL, NO_LABEL
-from stages.shared.metrics.segmentation import iou
+from stages.shared.metrics.picture import iou
 
 _BODY_JOINTS = 22  # without face and fingers
 

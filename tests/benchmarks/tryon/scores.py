@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from stages.shared.capture.take import MASK_THRESHOLD
 from stages.shared.layers import BODY_LABELS, GARMENT_LABELS, SKIN
-from stages.shared.metrics.psnr import psnr
+from stages.shared.metrics.picture import iou, psnr, segmentation_scores
 from stages.shared.metrics.scores import Scores, ViewPair
-from stages.shared.metrics.segmentation import iou, segmentation_scores
 from stages.shared.metrics.ssim import ssim_in_box
 
 NAMES = (

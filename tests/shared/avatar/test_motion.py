@@ -8,8 +8,15 @@ import torch
 from stages.shared.avatar.config import ModelConfig
 from stages.shared.avatar.decoders.styleunet import StyleUNetDecoder
 from stages.shared.avatar.maps import LayerMaps
-from stages.shared.avatar.motion import RATES, UP, motion_length, recent_motion, recent_motions, time_constant
-from stages.shared.avatar.pose import frame_pose
+from stages.shared.avatar.pose import (
+    RATES,
+    UP,
+    frame_pose,
+    motion_length,
+    recent_motion,
+    recent_motions,
+    time_constant,
+)
 from stages.shared.body import Poses, embedded_body
 from tests.shared.avatar.tubes import CENTRE, GRID, PITCH, tube_arrays
 

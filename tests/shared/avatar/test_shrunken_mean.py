@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from stages.shared.avatar.decoders.shrunken_mean import shrunken_mean
+from stages.shared.avatar.decoders.pose_prior import shrunken_mean
 
 
 def residuals(offsets: np.ndarray) -> torch.Tensor:

@@ -11,10 +11,8 @@ from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 from skimage.transform import downscale_local_mean
 
 from stages.shared.errors import BadData
-from stages.shared.metrics.psnr import psnr
+from stages.shared.metrics.picture import iou, psnr, segmentation_scores, sharpness
 from stages.shared.metrics.scores import NAMES, ViewPair, mean_scores, view_scores
-from stages.shared.metrics.segmentation import iou, segmentation_scores
-from stages.shared.metrics.sharpness import sharpness
 from stages.shared.metrics.ssim import ms_ssim, ssim, ssim_in_box
 
 

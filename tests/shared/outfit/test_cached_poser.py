@@ -10,8 +10,7 @@ import torch
 
 from stages.shared.avatar.config import ModelConfig
 from stages.shared.avatar.decoders.styleunet import StyleUNetDecoder
-from stages.shared.avatar.motion import recent_motion
-from stages.shared.avatar.pose import frame_pose
+from stages.shared.avatar.pose import frame_pose, recent_motion
 from stages.shared.body import Poses
 from stages.shared.outfit.cached_poser import CachedPoser
 from stages.shared.outfit.layer import WornLayer

@@ -13,7 +13,7 @@ from stages.shared.outfit.penetration import (
     fill_contours,
     resolve_penetration,
 )
-from stages.shared.splat.rendering import Rendering
+from stages.shared.splat.gaussians import Rendering
 
 SIZE = 40
 LAYERS = ("body", "upper")

@@ -13,7 +13,7 @@ from stages.shared import memory
 from stages.shared.errors import UsageProblem
 from stages.shared.outfit.viewpoints import look_at_camera
 from stages.shared.pictures.video import VideoWriter
-from stages.shared.render_sequence import estimate
+from stages.shared.render_sequence import outputs as module
 from stages.shared.render_sequence.outputs import SequenceFrame, SequenceOutputs, video_rate
 
 COLORS = [(200, 30, 40), (20, 160, 60), (30, 60, 200), (250, 250, 250), (5, 5, 5)]
@@ -70,21 +70,21 @@ def test_a_sequence_of_which_no_frame_fits_is_refused(
     passes: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     outputs, frames = SequenceOutputs(passes=passes), _frames([0, 1], 8192)
-    needed = estimate.memory_bytes(frames, 30_000, 3, outputs)
+    needed = module.memory_bytes(frames, 30_000, 3, outputs)
     monkeypatch.setattr(memory, "available_bytes", lambda: int(1.2 * needed))
-    estimate.require_frame(frames, 30_000, 3, outputs)
+    module.require_frame(frames, 30_000, 3, outputs)
     monkeypatch.setattr(memory, "available_bytes", lambda: needed)
     with pytest.raises(UsageProblem, match="MiB are free") as caught:
-        estimate.require_frame(frames, 30_000, 3, outputs)
+        module.require_frame(frames, 30_000, 3, outputs)
     assert ("--passes" in caught.value.fix) == ("layers" in passes)
 
 
 def test_fewer_frames_side_by_side_where_memory_is_scarce(monkeypatch: pytest.MonkeyPatch) -> None:
     frames, outputs = _frames([0, 1, 2, 3], 4096), SequenceOutputs()
-    one = estimate.memory_bytes(frames, 0, 3, outputs) - estimate.memory_bytes(frames, 0, 3, outputs, 0)
+    one = module.memory_bytes(frames, 0, 3, outputs) - module.memory_bytes(frames, 0, 3, outputs, 0)
     for room, count in ((100, 8), (3.5, 3), (1.5, 1), (0.1, 1)):
-        monkeypatch.setattr(estimate, "available_bytes", lambda room=room: int(room * one))
-        assert estimate.frames_at_a_time(8, frames, 3, outputs) == count
+        monkeypatch.setattr(module, "available_bytes", lambda room=room: int(room * one))
+        assert module.frames_at_a_time(8, frames, 3, outputs) == count
 
 
 def test_the_address_space_counts(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from stages.shared.splat import reference
 from stages.shared.splat.api import rasterize, rasterize_layers
-from stages.shared.splat.rendering import Rendering
+from stages.shared.splat.gaussians import Rendering
 from stages.shared.splat.settings import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN, SplatSettings
 
 FIELDS = ("features", "alpha", "depth")

@@ -7,8 +7,7 @@ import pytest
 import torch
 
 from stages.distill.config import DistillConfig
-from stages.distill.fit import components, fit_layer
-from stages.distill.samples import Samples, blend_rotations
+from stages.distill.fit import Samples, blend_rotations, components, fit_layer
 from stages.shared.avatar.config import ModelConfig
 from stages.shared.avatar.decoders.blendshapes import BlendshapeDecoder, BlendshapeSizes
 from stages.shared.avatar.decoders.texel_attributes import BASIS_GROUPS, group_channels

@@ -19,8 +19,7 @@ from stages.shared.body import embedded_body
 from stages.shared.cloth.material import TIGHT
 from stages.shared.cloth.pattern import ClothPattern
 from stages.shared.errors import UsageProblem
-from stages.shared.outfit.cloth_fit import fitted_cloth
-from stages.shared.outfit.trained_subject import TrainedSubject
+from stages.shared.outfit.trained_subject import TrainedSubject, fitted_cloth
 from tests.shared.outfit.wardrobe import cameras, make_subject
 
 TINY = FitClothConfig(vertices=60, frames=4, detail=0.1, materials=("tight", "flared"))

@@ -19,7 +19,7 @@ from stages.render import stage
 from stages.shared.body import embedded_body
 from stages.shared.errors import BadData, MissingInput, UsageProblem
 from stages.shared.export.splats import read_splats
-from stages.shared.outfit.foot_height import fix_foot_height
+from stages.shared.outfit.retarget import fix_foot_height
 from stages.shared.render_sequence.camera_path import path_cameras
 from stages.shared.render_sequence.config import RenderConfig
 from tests.shared.outfit.wardrobe import cameras, motion, outfit

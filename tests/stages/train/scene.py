@@ -18,7 +18,7 @@ from stages.shared.avatar.maps import LayerMaps
 from stages.shared.avatar.pose import frame_pose
 from stages.shared.body import BodyModel, Poses, embedded_body
 from stages.shared.capture import Camera, native_writer
-from stages.shared.splat.rendering import Rendering
+from stages.shared.splat.gaussians import Rendering
 from stages.train.config import PRESETS, LearningRates, TrainConfig
 from stages.train.objective import render
 from tests.shared.avatar.tubes import CENTRE, GRID, PITCH, tube_arrays

@@ -6,8 +6,8 @@ import numpy as np
 import torch
 
 from stages.shared.avatar.config import ModelConfig
-from stages.shared.avatar.covering_discs import covering_discs
 from stages.shared.avatar.decoders.registry import new_decoder
+from stages.shared.avatar.fabric_fill import covering_discs
 from stages.shared.avatar.pose import FramePose
 from stages.shared.capture import Camera
 from stages.train.observation import fill_unobserved, observed_texels

@@ -13,7 +13,7 @@ import torch
 from stages.pipeline import PIPELINE, TRAIN
 from stages.shared.artifacts import Workspace
 from stages.shared.artifacts.staleness import staleness
-from stages.shared.avatar.motion import recent_motion
+from stages.shared.avatar.pose import recent_motion
 from stages.shared.body import Poses, embedded_body, posed_joints
 from stages.shared.capture import Capture, open_capture
 from stages.shared.errors import BadData, UsageProblem

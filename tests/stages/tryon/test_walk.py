@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from stages.shared.body import JOINT_INDEX, Poses, embedded_body, posed_joints, posed_vertices
-from stages.shared.outfit.foot_height import fix_foot_height
+from stages.shared.outfit.retarget import fix_foot_height
 from stages.shared.poses.bvh_file import read_bvh_file
 from stages.shared.poses.bvh_names import joint_of_bone
 from stages.shared.poses.read import load_poses

@@ -18,9 +18,9 @@ from typer.testing import CliRunner
 
 from gw_cli.app import app
 from stages.shared.errors import MissingInput, StorageFailure, UsageProblem
-from stages.shared.outfit.foot_height import fix_foot_height
 from stages.shared.outfit.outfit import outfit_of_bundles
 from stages.shared.outfit.render_image import render_image
+from stages.shared.outfit.retarget import fix_foot_height
 from stages.shared.outfit.sources import parse_betas, read_bundles
 from stages.view import stage
 from stages.view.config import ViewConfig

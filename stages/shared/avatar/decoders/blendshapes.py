@@ -24,7 +24,7 @@ from stages.shared.avatar.decoders.base import Decoder, DecoderCost, LinearResid
 from stages.shared.avatar.decoders.key_poses import spread_out
 from stages.shared.avatar.decoders.texel_attributes import BASIS_GROUPS, group_channels
 from stages.shared.avatar.maps import LayerMaps
-from stages.shared.avatar.motion import motion_length, motion_scale
+from stages.shared.avatar.pose import motion_length, motion_scale
 from stages.shared.errors import BadData
 from stages.shared.finite import require_finite
 

@@ -19,11 +19,10 @@ from stages.shared.avatar.config import ModelConfig
 from stages.shared.avatar.decoders import styleunet_cost
 from stages.shared.avatar.decoders.base import Decoder, DecoderCost, LinearResidual
 from stages.shared.avatar.decoders.key_poses import KeyPoseOffsets, sampled_maps
-from stages.shared.avatar.decoders.pose_prior import PosePrior
+from stages.shared.avatar.decoders.pose_prior import PosePrior, shrunken_mean
 from stages.shared.avatar.decoders.positional_maps import CosineMaps, PositionalMaps, network_grid
-from stages.shared.avatar.decoders.shrunken_mean import shrunken_mean
 from stages.shared.avatar.maps import LayerMaps
-from stages.shared.avatar.motion import motion_length, motion_scale
+from stages.shared.avatar.pose import motion_length, motion_scale
 from stages.shared.errors import UsageProblem
 from stages.shared.layers import BODY
 from stages.shared.nets.styleunet import StyleUNet, ViewNet

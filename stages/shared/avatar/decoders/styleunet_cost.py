@@ -11,7 +11,7 @@ from stages.shared.avatar.config import ModelConfig
 from stages.shared.avatar.decoders.base import DecoderCost
 from stages.shared.avatar.decoders.positional_maps import NetworkGrid, network_grid
 from stages.shared.avatar.maps import LayerMaps
-from stages.shared.avatar.motion import motion_length
+from stages.shared.avatar.pose import motion_length
 from stages.shared.layers import BODY
 from stages.shared.nets.styleunet import StyleUNet, ViewNet
 

@@ -18,7 +18,7 @@ from stages.shared.avatar.decoders.key_poses import KeyPoseOffsets
 from stages.shared.avatar.decoders.pose_prior import PosePrior
 from stages.shared.avatar.decoders.styleunet import StyleUNetDecoder
 from stages.shared.avatar.deform import Attributes, pose_layer, shaped_positions
-from stages.shared.avatar.motion import RATES, UP, motion_scale, recent_motion, time_constant
+from stages.shared.avatar.pose import RATES, UP, motion_scale, recent_motion, time_constant
 from stages.shared.body import Poses
 from stages.shared.outfit.collision_correction import smooth_field
 from stages.shared.poses.convert import resample

@@ -8,7 +8,7 @@ from safetensors.torch import load_file
 from torch import Tensor
 
 from stages.shared.splat.api import rasterize
-from stages.shared.splat.rendering import Rendering
+from stages.shared.splat.gaussians import Rendering
 from tests.shared.splat.golden.make_scenes import FOLDER
 
 _INPUTS = ("means", "quats", "scales", "opacities", "colors")

@@ -1,4 +1,4 @@
-"""What `gw train` can be told, and the presets."""
+"""Configuration of `gw train`, and the presets."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class TrackConfig:
     """How garments are followed through the take before training (`stages/train/tracking`).
 
     Attributes:
-        frame_step: follow every so many-th frame, each with an anchor of its own; 0 switches tracking off.
+        frame_step: follow every N-th frame, each with its own key pose; 0 switches tracking off.
         cell: texels per cell of the maps that are solved for; anchors may be finer.
         warm_up: steps that first learn the template's own frame. rounds: Gauss-Newton steps per frame.
         bending, stretch, inertia: weights of smoothness (second and first differences) and of staying where
@@ -108,13 +108,13 @@ class TrainConfig:
         rate_end: learning rates end (cosine) at this share of their start.
         clip: ceiling of the global gradient norm; 0 for none.
         label_kind: "l1" or "l2". penetration_margin: ε, m.
-        penetration_every: a step looks for penetration at every so many-th Gaussian, others at the next.
+        penetration_every: a step checks every N-th Gaussian for penetration, the next step other ones.
         perceptual_side: px, side of the square crops that LPIPS sees. perceptual_digest: SHA-256 of the file
             of perceptual weights, empty for none; the stage fills it in.
         weights, rates, track, model: see there.
         method: what is learned: "gaussian-wardrobe" (a layer per garment), or a baseline
             (`stages/train/methods`). without: parts left out (`stages/train/config.py`).
-        takes: training takes to learn from beside the one of the template; "all" for every one.
+        takes: training takes in addition to that of the template; "all" for every one.
         from_layers: layers that start from another subject (`stages/train/warm_start.py`); all that both have
             where it is empty and such a subject is given.
         recompute: networks' activations are computed again in the backward pass instead of kept; not part of
@@ -240,18 +240,18 @@ _TERMS: dict[str, tuple[str, ...]] = {
 }
 PARTS: dict[str, str] = {
     "sg": "segmentation: the label loss, and labels in tracking",
-    "reg": "what keeps Gaussians tidy: offset, smoothing, seam, body opacity, covered skin",
+    "reg": "regularisers: offset, smoothing, seam, body opacity, covered skin",
     "pe": "penetration: the loss between layers, and collisions in tracking",
-    "bs": "the body's silhouette",
+    "bs": "silhouette of the body",
     "ssim": "SSIM of the pictures",
     "lpips": "LPIPS of subject and face",
     "flow": "optical flow from render to image",
-    "coarse": "small pictures first",
-    "tracking": "following the garments through the take first",
-    "history": "recent motion beside the pose",
-    "anchors": "free offsets of anchor poses",
+    "coarse": "coarse-to-fine pictures",
+    "tracking": "tracking of the garments through the take",
+    "history": "recent motion as an input",
+    "anchors": "offsets of key poses",
     "base": "free attributes per texel",
-    "prior": "projection of poses unlike the training's",
+    "prior": "projection of unusual poses",
 }
 
 

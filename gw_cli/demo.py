@@ -51,9 +51,9 @@ def register(app: typer.Typer) -> None:
 
 
 def _scores(evaluations: dict[str, Any]) -> Iterator[str]:
-    """A line per evaluation and split: foreground PSNR of what was learned and of what learned nothing."""
-    for title, found in evaluations.items():
-        for split, means in found.items():
+    """A line per evaluation and split: foreground PSNR of the trained subject and of the baseline."""
+    for title, splits in evaluations.items():
+        for split, means in splits.items():
             rows = means if isinstance(means, dict) and "psnr_foreground" not in means else {"": means}
             values = [
                 f"{method} {scores['psnr_foreground']:.2f} dB".strip()

@@ -52,12 +52,12 @@ def register(bench: typer.Typer) -> None:
             for subject in subjects
             for row in own_rows(subject, output / subject.resolve().name, config, console, perceptual_weights)
         ]
-        found = tables(rows)
-        text = markdown(found)
+        content = tables(rows)
+        text = markdown(content)
         make_folders(output)
         write_whole(output / "paper.md", text.encode())
-        write_whole(output / "paper.json", json.dumps(found, indent=1).encode())
+        write_whole(output / "paper.json", json.dumps(content, indent=1).encode())
         if as_json:
-            console.result({"path": output, **found})
+            console.result({"path": output, **content})
         else:
             typer.echo(text)

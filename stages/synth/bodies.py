@@ -81,11 +81,11 @@ def betas_of(body: BodyModel, person: Person) -> NDArray[np.float32]:
             shoulders[JOINT_INDEX["left_shoulder"], 0] - shoulders[JOINT_INDEX["right_shoulder"], 0],
         ]
     )
-    wanted = np.array([person.height, person.torso_girth, person.leg_girth, person.shoulder_width])
+    targets = np.array([person.height, person.torso_girth, person.leg_girth, person.shoulder_width])
     scale = np.array([0.2, 1.0, 1.0, 0.7])  # a centimetre of girth shows more than one of height
-    rows, wanted = rows * scale[:, None], wanted * scale
+    rows, targets = rows * scale[:, None], targets * scale
     normal = rows.T @ rows + _PRIOR**2 * np.eye(rows.shape[1])
-    return np.linalg.solve(normal, rows.T @ wanted).astype(np.float32)
+    return np.linalg.solve(normal, rows.T @ targets).astype(np.float32)
 
 
 def _radial(
@@ -95,7 +95,7 @@ def _radial(
     owner: NDArray[np.integer],
     names: tuple[str, ...],
 ) -> Doubles:
-    """(10,) mean change of the horizontal distance from the bone, over the vertices those joints own."""
+    """(10,) mean change of the horizontal distance from the bone, over the vertices of those joints."""
     rows = []
     for name in names:
         joint = JOINT_INDEX[name]
@@ -108,7 +108,7 @@ def _radial(
 
 
 class ShapedBody:
-    """A body of one shape: poses its own surface and whatever is bound to its bones."""
+    """A body of one shape: poses its surface and meshes that move with its bones."""
 
     def __init__(self, model: BodyModel, betas: NDArray[np.float32]) -> None:
         self.model = model
@@ -133,11 +133,11 @@ class ShapedBody:
         return skin(torch.from_numpy(points), torch.from_numpy(weights), torch.from_numpy(transforms)).numpy()
 
     def posed(self, rotations: NDArray[np.floating]) -> Doubles:
-        """(V, 3) own surface in one pose (55, 3), pelvis where the rest pose has it."""
+        """(V, 3) the surface in one pose (55, 3), pelvis where the rest pose has it."""
         return self.pose(self.rest_vertices, self.weights, self.transforms(rotations, np.zeros(3)))
 
     def animate(self, poses: Poses) -> NDArray[np.float32]:
-        """(T, V, 3) own surface in every frame, world."""
+        """(T, V, 3) the surface in every frame, world."""
         frames = []
         for transforms in self.transforms(poses.rotations, poses.translation):
             frames.append(self.pose(self.rest_vertices, self.weights, transforms).astype(np.float32))

@@ -2,7 +2,7 @@
 
 A pose is a set of Euler angles in degrees per joint, a function of the time in seconds. Angles at a joint
 are (about x: forward/back, about y: twist, about z: sideways) and are applied in the order z, x, y to a
-T-pose limb; the left side is given and mirrored for the right.
+T-pose limb; the right side mirrors the left one.
 """
 
 from __future__ import annotations

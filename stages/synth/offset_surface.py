@@ -58,8 +58,8 @@ def shell(grid: DistanceGrid, offset: Field, inside: Field) -> tuple[Doubles, Fa
     """The surface at `offset(p)` metres from the body, where `inside(p)` is negative.
 
     Arguments:
-        offset: wanted distance from the body, (N, 3) -> (N,) metres.
-        inside: about a signed distance to the cut, negative on the side that is kept.
+        offset: distance from the body, (N, 3) -> (N,) metres.
+        inside: about a signed distance to the cut, negative on the side that remains.
 
     Returns:
         vertices (V, 3) rest frame, faces (F, 3) with outward normals; the largest connected piece.
@@ -125,8 +125,8 @@ def neighbour_mean(count: int, pairs: NDArray[np.integer]) -> csr_matrix:
 def largest_piece(vertices: Doubles, faces: Faces) -> tuple[Doubles, Faces]:
     """Keep the connected piece with most faces, and only the vertices that faces use."""
     piece = components(faces, len(vertices))[faces[:, 0]]
-    kept, used = keep_faces(faces, piece == np.bincount(piece).argmax(), len(vertices))
-    return vertices[used], kept.astype(np.int64)
+    remaining, used = keep_faces(faces, piece == np.bincount(piece).argmax(), len(vertices))
+    return vertices[used], remaining.astype(np.int64)
 
 
 def _without_spikes(faces: Faces) -> Faces:

@@ -137,12 +137,12 @@ def run(output: Path, config: SynthConfig = SynthConfig(), report: Report = SILE
     captures = {}
     for capture in CAPTURES:
         captures[capture] = output / capture
-        own = sorted((take for take in takes if take.capture == capture), key=lambda take: take.name != TRAIN)
-        _write_capture(captures[capture], own, config, report)
+        shown = [take for take in takes if take.capture == capture]
+        _write_capture(captures[capture], sorted(shown, key=lambda take: take.name != TRAIN), config, report)
 
-    worn = next(take for take in takes if take.capture == "tryon_truth")
+    tryon = next(take for take in takes if take.capture == "tryon_truth")
     motion_path = output / "motions" / "held_out.npz"
-    write_whole(motion_path, worn.poses.to_npz_bytes())
+    write_whole(motion_path, tryon.poses.to_npz_bytes())
     showcase = motion.poses_of(
         motion.showcase_motion, round(motion.SHOWCASE_SECONDS * motion.FPS), second.body
     )
@@ -158,10 +158,10 @@ def check_places(output: Path) -> None:
         if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
             continue
         try:
-            own = json.loads((folder / "capture.json").read_bytes())["about"]["source"] == SOURCE
+            ours = json.loads((folder / "capture.json").read_bytes())["about"]["source"] == SOURCE
         except (OSError, ValueError, KeyError, TypeError):
-            own = False
-        if not own:
+            ours = False
+        if not ours:
             raise UsageProblem(
                 "Something else than a synthetic capture stands there, which would be lost.",
                 str(folder),
@@ -181,20 +181,20 @@ def outfits(mean: ShapedBody, config: SynthConfig) -> tuple[Outfit, Outfit, Outf
 
     first, second = dressed(PERSON_1, patterns_1), dressed(PERSON_2, patterns_2)
     skirt = fit(next(pattern for pattern in patterns_1 if pattern.label == LOWER), mean, second.body)
-    # The vest stays on: no camera ever saw the shirt beneath it, so nobody could have learned it.
-    own = [garment for garment in second.garments if garment.label != LOWER]
-    return first, second, replace(second, garments=[skirt, *own])
+    # The vest stays on: no camera saw the shirt beneath it, so it cannot be learned.
+    others = [garment for garment in second.garments if garment.label != LOWER]
+    return first, second, replace(second, garments=[skirt, *others])
 
 
 def _without_outer(takes: list[Take], config: SynthConfig) -> Take:
     """Some training frames of subject 2, as many as a test has, without the outer garment."""
-    worn = next(take for take in takes if (take.capture, take.name) == ("subject_2", TRAIN))
-    inner = [index for index, garment in enumerate(worn.outfit.garments) if garment.label != OUTER]
-    outfit = replace(worn.outfit, garments=[worn.outfit.garments[index] for index in inner])
-    rows = np.linspace(0, len(worn.frames) - 1, config.test_images).round().astype(int)
-    frames = [worn.frames[row] for row in np.unique(rows)]
-    cloth = [worn.cloth[index] for index in inner]
-    return Take("inner_truth", INNER, outfit, worn.poses, frames, cloth)
+    take = next(one for one in takes if (one.capture, one.name) == ("subject_2", TRAIN))
+    inner = [index for index, garment in enumerate(take.outfit.garments) if garment.label != OUTER]
+    outfit = replace(take.outfit, garments=[take.outfit.garments[index] for index in inner])
+    rows = np.linspace(0, len(take.frames) - 1, config.test_images).round().astype(int)
+    frames = [take.frames[row] for row in np.unique(rows)]
+    cloth = [take.cloth[index] for index in inner]
+    return Take("inner_truth", INNER, outfit, take.poses, frames, cloth)
 
 
 def _simulated(job: Job, config: SynthConfig) -> Take:

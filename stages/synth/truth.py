@@ -1,4 +1,4 @@
-"""What nobody can see in a real capture, and what a real capture brings along: true meshes, and the scan."""
+"""The true meshes, which no real capture has, and the scan of the first frame."""
 
 from __future__ import annotations
 
@@ -54,10 +54,10 @@ def scan(look: Look, vertices: Doubles) -> bytes:
     labels = np.concatenate([look.vertex_label, np.zeros(len(points), np.uint8)])
     labels[offset + faces] = look.face_label[is_cloth][parent][:, None]
     visible = _visible_from_outside(look, vertices, all_points, all_faces)
-    kept, used = keep_faces(all_faces, visible[all_faces].any(axis=1), len(all_points))
+    visible_faces, used = keep_faces(all_faces, visible[all_faces].any(axis=1), len(all_points))
     mesh = Mesh(
         all_points[used].astype(np.float32),
-        kept,
+        visible_faces,
         np.round(255 * srgb_from_linear(colors[used])).astype(np.uint8),
         labels[used],
     )

@@ -117,8 +117,8 @@ class Scene:
         blocked = self._rays.first_hits(starts, directions[ray]).hit
         weight = facing[vertex, ray]
         total = np.bincount(vertex, weight, len(self.vertices))
-        seen = np.bincount(vertex, weight * ~blocked, len(self.vertices))
-        return np.where(total > 0, seen / np.maximum(total, 1e-9), 1.0)
+        unblocked = np.bincount(vertex, weight * ~blocked, len(self.vertices))
+        return np.where(total > 0, unblocked / np.maximum(total, 1e-9), 1.0)
 
 
 def _sphere(count: int, seed: int) -> Doubles:

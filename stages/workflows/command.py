@@ -1,7 +1,7 @@
 """How a workflow runs a command. The front end passes the function.
 
-The demo and the trade-off report seconds and peak memory of every command, so each runs in a process of its
-own. Only the command line knows how to start one.
+The demo and the trade-off report seconds and peak memory of every command, so each runs in its own
+process. Only the command line knows how to start one.
 """
 
 from __future__ import annotations

@@ -49,12 +49,12 @@ _NAME = re.compile(r"(without )?([\w-]+) \(([\w-]+), ([^ ]+) min(?:, seed (\d+))
 def config_of(name: str) -> Any:
     """The training that the name of a curve means: "layga (draft, 20 min)", "without sg (draft, 10 min)"."""
 
-    found = _NAME.fullmatch(name)
-    if found is None or found[3] not in PRESETS:
+    match = _NAME.fullmatch(name)
+    if match is None or match[3] not in PRESETS:
         return None
-    part = {"without": (found[2],)} if found[1] else {"method": found[2]}
-    budget: dict[str, Any] = {"minutes": float(found[4]), "seed": int(found[5] or 0), "steps": _ENDLESS}
-    return replace(PRESETS[found[3]], device="cpu", **budget, **part)
+    part = {"without": (match[2],)} if match[1] else {"method": match[2]}
+    budget: dict[str, Any] = {"minutes": float(match[4]), "seed": int(match[5] or 0), "steps": _ENDLESS}
+    return replace(PRESETS[match[3]], device="cpu", **budget, **part)
 
 
 def run(
@@ -96,7 +96,7 @@ def _train(
 ) -> None:
     """Train one unfinished run. Each scoring adds a point to its curve."""
     most = 3 + len(Workspace(subject).require(BAKE_MAPS).summary["layers"])
-    warm_up(report, tuple(sorted({1, 4, 5, most})))  # compiling is nobody's training time
+    warm_up(report, tuple(sorted({1, 4, 5, most})))  # compiling is not training time
     for name, run in runs.items():
         report.step(f"{name}, {run.minutes:g} minutes")
         grid = tuple(run.minutes * (index + 1) / points for index in range(points))
@@ -122,9 +122,9 @@ def _draw(subject: Path, folder: Path, views: CurveViews, curves: CurveFile, rep
         if not drawn:
             continue
         write_whole(folder / figure, encode_png(curve_figure(curves, list(views.splits), drawn, shown)))
-        found = {name: training_like(workspace, config_of(name)) for name in drawn}
-        missing += [name for name, artifact in found.items() if artifact is None]
-        outfits = {name: outfit_of(subject, artifact) for name, artifact in found.items() if artifact}
+        trained = {name: training_like(workspace, config_of(name)) for name in drawn}
+        missing += [name for name, artifact in trained.items() if artifact is None]
+        outfits = {name: outfit_of(subject, artifact) for name, artifact in trained.items() if artifact}
         if outfits:
             write_whole(folder / pictures, encode_png(compare_outfits(views.splits, outfits)))
     return list(dict.fromkeys(missing))

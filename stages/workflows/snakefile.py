@@ -59,19 +59,19 @@ def subjects(captures: Sequence[Path]) -> dict[str, str]:
     Raises:
         MissingInput: a capture does not exist. UsageProblem: an invalid folder name, or one name twice.
     """
-    found: dict[str, str] = {}
+    places: dict[str, str] = {}
     for capture in captures:
         if not capture.is_dir():
             raise MissingInput("There is no such capture.", str(capture), "Give folders of captures.")
         name = capture.resolve().name
-        if not _NAME.fullmatch(name) or name in found:
+        if not _NAME.fullmatch(name) or name in places:
             raise UsageProblem(
                 f"{name!r} cannot be the name of a subject here, or stands twice.",
                 str(capture),
                 "Give captures whose folders have different names of letters, digits, dot, dash.",
             )
-        found[name] = str(capture)
-    return found
+        places[name] = str(capture)
+    return places
 
 
 def snakefile(captures: Mapping[str, str], workspaces: str, preset: str) -> str:

@@ -1,4 +1,4 @@
-"""The demo as a list of commands: what a user would type, in order, with what each leaves to look at."""
+"""The demo as a list of commands: what a user would type, in order, and the files worth looking at."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class DemoStep:
 
 @dataclass
 class DemoOutcome:
-    """What running one step gave."""
+    """Result of running one step."""
 
     step: DemoStep
     seconds: float
@@ -123,7 +123,7 @@ def learn(subject: str, config: DemoConfig) -> list[DemoStep]:
     ]
     evaluate = DemoStep(
         "evaluate",
-        "Held-out poses and the held-out camera, next to the template that learned nothing.",
+        "Held-out poses and the held-out camera, and the same scores of the untrained template.",
         ("evaluate", subject, "-o", f"evaluation/{subject}", *preset),
         (f"evaluation/{subject}",),
         (f"evaluation/{subject}/*.png",),
@@ -152,7 +152,7 @@ def exchange(config: DemoConfig) -> list[DemoStep]:
     return [
         DemoStep(
             "tryon",
-            "Subject 2 in subject 1's skirt, with its own shirt and vest, in a motion of no training take.",
+            "Subject 2 in subject 1's skirt, with its own shirt and vest, in a motion that is new to it.",
             ("tryon", *outfit, *showcase, "--frames", "0:120", "-o", "tryon"),
             ("tryon/result.json",),
             ("tryon/*.mp4", "tryon/*.webm", "tryon/contact_sheet.png"),
@@ -173,7 +173,7 @@ def exchange(config: DemoConfig) -> list[DemoStep]:
         DemoStep(
             "wardrobe",
             "Both bodies in every set of the five garments that go together, from the front and the back.",
-            ("wardrobe", "outfits", "wardrobe", *motion, "-o", "outfits"),
+            ("wardrobe", "outfits", "wardrobe", *motion, "--drive", "learned", "-o", "outfits"),
             ("outfits/outfits.json",),
             ("outfits/outfits.png",),
         ),

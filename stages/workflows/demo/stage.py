@@ -39,7 +39,7 @@ from stages.workflows.demo.recipe import (
     synthesise,
 )
 
-# Fields of a result that describe the run and not what it made.
+# Fields of a result that describe the run, not the files it wrote.
 _PASSING = ("seconds", "peak_bytes", "reused")
 
 
@@ -70,7 +70,7 @@ def run(folder: Path, config: DemoConfig, run_command: RunCommand, report: Repor
     check_folder_target(folder)
     make_folders(folder)
     started = time.monotonic()
-    runner = _Runner(folder, run_command, report, len(steps(config)), _read_known(folder))
+    runner = _Runner(folder, run_command, report, len(steps(config)), _read_finished(folder))
     captures, key = runner.chain(synthesise(config), "")
     cores = os.cpu_count() or 1
     with ThreadPoolExecutor(min(cores, len(SUBJECTS))) as pool:
@@ -98,7 +98,7 @@ class _Runner:
     run_command: RunCommand
     report: Report
     total: int
-    known: dict[str, Any]
+    finished: dict[str, Any]
     number: int = 0
     cancelled: Event = field(default_factory=Event)
     lock: Lock = field(default_factory=Lock)
@@ -106,20 +106,20 @@ class _Runner:
     def chain(
         self, steps: list[DemoStep], key: str, threads: int | None = None
     ) -> tuple[list[DemoOutcome], str]:
-        """Outcomes of steps that build on each other, and the key of what they made."""
+        """Outcomes of steps that build on each other, and the key of their results."""
         outcomes = []
         for step in steps:
             with self.lock:
                 self.number += 1
                 self.report.step(f"[{self.number}/{self.total}] {step.command}")
             key = _key(key, step)
-            outcome = self._reuse(step, self.known.get(key)) or self._run(step, threads)
+            outcome = self._reuse(step, self.finished.get(key)) or self._run(step, threads)
             outcomes.append(outcome)
             with self.lock:
-                self.known[key] = {"command": step.command, "seconds": outcome.seconds,
+                self.finished[key] = {"command": step.command, "seconds": outcome.seconds,
                                    "peak_bytes": outcome.peak_bytes, "result": outcome.result}  # fmt: skip
                 write_whole(
-                    self.folder / "steps.json", json.dumps(self.known, indent=1, sort_keys=True).encode()
+                    self.folder / "steps.json", json.dumps(self.finished, indent=1, sort_keys=True).encode()
                 )
                 before = " (done before)" if outcome.reused else ""
                 self.report.say(
@@ -129,30 +129,30 @@ class _Runner:
         return outcomes, key
 
     def _run(self, step: DemoStep, threads: int | None) -> DemoOutcome:
-        made = self.run_command(
+        outcome = self.run_command(
             *step.arguments, folder=self.folder, threads=threads, cancelled=self.cancelled
         )
-        return DemoOutcome(step, made.seconds, made.peak_bytes, made.result)
+        return DemoOutcome(step, outcome.seconds, outcome.peak_bytes, outcome.result)
 
-    def _reuse(self, step: DemoStep, known: dict[str, Any] | None) -> DemoOutcome | None:
-        if known is None or not all((self.folder / output).exists() for output in step.outputs):
+    def _reuse(self, step: DemoStep, record: dict[str, Any] | None) -> DemoOutcome | None:
+        if record is None or not all((self.folder / output).exists() for output in step.outputs):
             return None
-        return DemoOutcome(step, known["seconds"], known["peak_bytes"], known["result"], reused=True)
+        return DemoOutcome(step, record["seconds"], record["peak_bytes"], record["result"], reused=True)
 
 
 def _key(previous: str, step: DemoStep, result: dict[str, Any] | None = None) -> str:
-    """Chain of hashes over commands and what they made, so that a change reruns all that follows."""
-    made = {name: value for name, value in (result or {}).items() if name not in _PASSING}
-    text = json.dumps([previous, step.command, made], sort_keys=True, default=str)
+    """Chain of hashes over commands and their results, so that a change reruns all that follows."""
+    content = {name: value for name, value in (result or {}).items() if name not in _PASSING}
+    text = json.dumps([previous, step.command, content], sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _read_known(folder: Path) -> dict[str, Any]:
+def _read_finished(folder: Path) -> dict[str, Any]:
     try:
-        known = json.loads((folder / "steps.json").read_text())
+        finished = json.loads((folder / "steps.json").read_text())
     except (OSError, ValueError):
         return {}
-    return known if isinstance(known, dict) else {}
+    return finished if isinstance(finished, dict) else {}
 
 
 def _summary(page: Path, outcomes: list[DemoOutcome], seconds: float) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The paper's three tables (novel pose, novel view, ablation): published rows, then rows of one's own.
+"""The paper's three tables (novel pose, novel view, ablation): published rows, then rows of own trainings.
 
 Published values are those of Gaussian Wardrobe on 4D-DRESS and ActorsHQ, by the authors' code on their GPUs.
 Own rows can be compared with them only on those data sets.
@@ -129,11 +129,11 @@ def markdown(content: dict[str, list[dict[str, Any]]]) -> str:
         parts.append("| data | method | without | training | minutes | " + " | ".join(scores) + " |")
         parts.append("| --- " * (5 + len(scores)) + "|")
         for row in rows:
-            made = ["published", "–"]
+            effort = ["published", "–"]
             if not row["published"]:
-                made = [row["training"][:6], _number(row["minutes"], 1)]
+                effort = [row["training"][:6], _number(row["minutes"], 1)]
             values = [_number(row["scores"].get(score), _PLACES.get(score, 4)) for score in scores]
-            cells = [row["data"], row["method"], "+".join(row["without"]) or "–", *made, *values]
+            cells = [row["data"], row["method"], "+".join(row["without"]) or "–", *effort, *values]
             parts.append("| " + " | ".join(cells) + " |")
         parts.append("")
     return "\n".join(parts)
@@ -151,7 +151,7 @@ def _published(row: PublishedRow) -> dict[str, Any]:
 
 
 def _own(row: OwnRow, splits: tuple[str, ...], names: tuple[str, ...]) -> dict[str, Any]:
-    """A row of one's own; scores of the first of the splits that it has."""
+    """A row of an own training, with the scores of the first of the splits that it has."""
     split = next((split for split in splits if split in row.scores), None)
     scores = row.scores[split] if split else {}
     return {

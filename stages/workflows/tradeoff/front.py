@@ -42,14 +42,14 @@ class OperatingPoint:
     def from_dict(cls, content: Any, where: str) -> OperatingPoint:
         """From JSON. Raises BadData if it is not an operating point."""
         names = cls.__dataclass_fields__
-        known = (
+        values = (
             {name: value for name, value in content.items() if name in names}
             if isinstance(content, dict)
             else {}
         )
-        if set(known) != set(names):
+        if set(values) != set(names):
             raise BadData("This is not an operating point.", where, "Run gw bench tradeoff again.")
-        return cls(**known)
+        return cls(**values)
 
 
 def on_front(points: Sequence[OperatingPoint]) -> list[OperatingPoint]:
@@ -65,8 +65,8 @@ def on_front(points: Sequence[OperatingPoint]) -> list[OperatingPoint]:
             for other in points
         )
 
-    kept = [point for point in points if not beaten(point)]
-    return sorted(kept, key=lambda point: point.frames_per_second)
+    front = [point for point in points if not beaten(point)]
+    return sorted(front, key=lambda point: point.frames_per_second)
 
 
 def fast_enough(points: Sequence[OperatingPoint], frames_per_second: float) -> OperatingPoint:

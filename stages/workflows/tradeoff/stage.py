@@ -116,8 +116,8 @@ def _check(output: Path, config: BenchTradeoffConfig) -> None:
 
 def _registration(capture: Path, subject: Path, body_model: Path | None) -> list[str | Path]:
     """The first command of the bench."""
-    given: list[str | Path] = ["--body-model", body_model.resolve()] if body_model else []
-    return ["register-template", capture, "-o", subject, *given]
+    model: list[str | Path] = ["--body-model", body_model.resolve()] if body_model else []
+    return ["register-template", capture, "-o", subject, *model]
 
 
 def read_points(folder: Path) -> list[OperatingPoint]:
@@ -141,14 +141,14 @@ def bundles_of(folder: Path, point: OperatingPoint) -> list[Path]:
     Raises:
         MissingInput: a file does not exist.
     """
-    found = sorted((folder / "points" / point.name).glob("*.gwg"))
-    if not found:
+    bundles = sorted((folder / "points" / point.name).glob("*.gwg"))
+    if not bundles:
         raise MissingInput(
             f"The bundles of the operating point {point.name} are gone.",
             str(folder / "points" / point.name),
             "Run gw bench tradeoff again with this folder as -o.",
         )
-    return found
+    return bundles
 
 
 def _train(

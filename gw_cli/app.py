@@ -45,8 +45,8 @@ COMMANDS: dict[str, tuple[str, ...]] = {
 }
 
 
-def _show_version(wanted: bool) -> None:
-    if wanted:
+def _show_version(requested: bool) -> None:
+    if requested:
         from importlib import metadata
 
         try:

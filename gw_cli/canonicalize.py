@@ -20,7 +20,7 @@ def register(app: typer.Typer) -> None:
     @command
     @config_options(PRESETS, "draft")
     def canonicalize(
-        given: Annotated[
+        source: Annotated[
             Path, typer.Argument(metavar="SUBJECT", help="Workspace folder of the subject, or one mesh file.")
         ],
         output: Annotated[
@@ -42,24 +42,24 @@ def register(app: typer.Typer) -> None:
         """Bring the template to the canonical pose and the zero shape.
 
         Every vertex keeps the skinning weights that pose it back exactly. A lone mesh is registered first:
-        with --params the body fit is given, without it the body is fitted to the mesh.
+        with --params its body fit is used, without it the body is fitted to the mesh.
         """
         console = Console(as_json)
-        subject = given
-        if given.is_file():
+        subject = source
+        if source.is_file():
             from stages.register_template import stage as registration
             from stages.register_template.config import PRESETS as REGISTRATIONS
 
-            subject = output or Path(given.stem)
+            subject = output or Path(source.stem)
             registered = REGISTRATIONS[preset]
             if dry_run:
-                console.plan(registration.plan(given, subject, registered, body_model, params))
+                console.plan(registration.plan(source, subject, registered, body_model, params))
                 return
-            registration.run(given, subject, registered, console, body_model, params, force=force)
+            registration.run(source, subject, registered, console, body_model, params, force=force)
         elif output is not None or params is not None or body_model is not None:
             raise UsageProblem(
                 "--output, --params and --body-model are for a lone mesh.",
-                str(given),
+                str(source),
                 "Leave them out: a workspace has its own; gw register-template sets them.",
             )
         else:

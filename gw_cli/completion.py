@@ -1,7 +1,7 @@
 """What the shell offers at the Tab key: presets, subjects, layers, bundles, artifacts.
 
-Called by every press of the key, so nothing here loads a library, and nothing here may fail: what cannot be
-read is not offered.
+Every press of the key calls these functions, so they load no library and never fail. What cannot be read is
+not offered.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def devices(incomplete: str) -> list[str]:
 
 
 def subjects(incomplete: str) -> list[str]:
-    """Folders beside what was typed that are workspaces of subjects."""
+    """Folders that are workspaces of subjects and begin with what was typed."""
     return [str(folder) for folder in _folders(incomplete) if (folder / "subject.json").is_file()]
 
 
@@ -51,8 +51,8 @@ def trainings(ctx: Any, incomplete: str) -> list[str]:
     subject = None if ctx is None else ctx.params.get("subject")
     if not subject:
         return []
-    found = _folders(f"{subject}/train/{incomplete}")
-    return [folder.name for folder in found if (folder / "manifest.json").is_file()]
+    folders = _folders(f"{subject}/train/{incomplete}")
+    return [folder.name for folder in folders if (folder / "manifest.json").is_file()]
 
 
 def artifacts(incomplete: str) -> list[str]:

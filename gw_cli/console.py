@@ -77,7 +77,7 @@ class Console:
         self._emit({"event": "warning", "text": text}, f"warning: {text}")
 
     def plan(self, plan: Plan) -> None:
-        """Print what `--dry-run` found; nothing was written."""
+        """Print the plan of `--dry-run`."""
         self._close_bar()
         if self.as_json:
             self.result({"dry_run": True, **dataclasses.asdict(plan)})

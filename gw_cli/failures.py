@@ -79,7 +79,7 @@ def command(function: Command) -> Command:
         except (typer.Exit, typer.Abort):
             raise
         except BrokenPipeError:
-            raise typer.Exit(StorageFailure.exit_code) from None  # whoever read the output has left
+            raise typer.Exit(StorageFailure.exit_code) from None  # the reader of the output has left
         except Exception as error:
             if is_memory_error(error):
                 fail(memory_refusal(f"gw {function.__name__.rstrip('_').replace('_', '-')}"))
@@ -176,7 +176,7 @@ def _storage_failure(error: OSError) -> GwError:
 
 
 def _our_bug(error: Exception) -> GwError:
-    """An error that nobody expected, with the file that holds its traceback. Never raises."""
+    """The error for an unexpected exception, with the file that holds its traceback. Never raises."""
     try:
         what = f"A bug in gw: {type(error).__name__}: {error}"
     except Exception:  # an exception that cannot be printed

@@ -78,6 +78,6 @@ def check_poses(paths: Iterable[Path | None]) -> None:
 
 
 def check_exists(path: Path | None, what: str = "capture") -> None:
-    """Raise when a path that was given does not exist; `what` names it in the message."""
+    """Raise when a path does not exist; `what` names it in the message. None is no path."""
     if path is not None and not path.exists():
         raise MissingInput(f"There is no such {what}.", str(path), "Check the path.")

@@ -97,19 +97,19 @@ Swap = Annotated[
 
 
 def preset_config(presets: dict[str, Config], name: str) -> Config:
-    """The preset called `name`, or a usage error that lists the ones there are."""
+    """The preset called `name`, or a usage error that lists the known ones."""
     return presets[one_of("--preset", name, tuple(presets), "preset")]
 
 
-def one_of(option: str, given: str, known: tuple[str, ...], kind: str = "choice") -> str:
-    """What was given, or a usage error that lists the choices there are."""
-    if given not in known:
+def one_of(option: str, name: str, known: tuple[str, ...], kind: str = "choice") -> str:
+    """The name, or a usage error that lists the known ones."""
+    if name not in known:
         raise UsageProblem(
-            f"There is no {kind} called {given!r}.",
+            f"There is no {kind} called {name!r}.",
             f"option {option}",
             "Choose one of: " + ", ".join(known) + ".",
         )
-    return given
+    return name
 
 
 def names(text: str) -> tuple[str, ...]:
@@ -122,7 +122,9 @@ def parse_ranks(text: str) -> tuple[int, int, int]:
     parts = names(text)
     if len(parts) != 3 or not all(part.isdecimal() and 1 <= int(part) <= 256 for part in parts):
         raise UsageProblem(
-            f"{text!r} are no numbers of bases.", "option --ranks", "Give three from 1 to 256, as 16,6,4."
+            f"{text!r} is not three numbers of bases.",
+            "option --ranks",
+            "Give three from 1 to 256, as 16,6,4.",
         )
     offset, color, form = (int(part) for part in parts)
     return offset, color, form
@@ -130,12 +132,12 @@ def parse_ranks(text: str) -> tuple[int, int, int]:
 
 def without_shard(words: Sequence[str]) -> str:
     """The command line that puts the parts together: `sys.argv` as it is, but for --shard."""
-    kept, skip = ["gw"], False
+    shortened, skip = ["gw"], False
     for word in words[1:]:
         if skip or word.startswith("--shard="):
             skip = False
         elif word == "--shard":
             skip = True
         else:
-            kept.append(word)
-    return shlex.join(kept)
+            shortened.append(word)
+    return shlex.join(shortened)

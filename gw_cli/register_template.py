@@ -21,7 +21,7 @@ def register(app: typer.Typer) -> None:
     @command
     @config_options(PRESETS, "draft")
     def register_template(
-        given: Annotated[
+        source: Annotated[
             Path,
             typer.Argument(metavar="CAPTURE", help="Folder of a capture, or one mesh of a dressed person."),
         ],
@@ -68,17 +68,17 @@ def register(app: typer.Typer) -> None:
             )
         poses = "fit" if fit else "refine" if refine else "given"
         config = replace(config, poses=poses, hold_out=tuple(hold_out or ()))
-        check_exists(given, "capture or mesh")
+        check_exists(source, "capture or mesh")
 
         console.loading()
         from stages.register_template import stage
 
         if dry_run:
             console.plan(
-                stage.plan(given, subject, config, body_model, params, capture_format, fit_body_model)
+                stage.plan(source, subject, config, body_model, params, capture_format, fit_body_model)
             )
             return
         result = stage.run(
-            given, subject, config, console, body_model, params, capture_format, force, fit_body_model
+            source, subject, config, console, body_model, params, capture_format, force, fit_body_model
         )
         console.result(result.summary, next_command=("gw", "canonicalize", subject))

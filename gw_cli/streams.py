@@ -1,7 +1,7 @@
-"""Standard output and error as they are found: closed, broken, ASCII only; and text that is safe to show.
+"""Standard output and error, which may be closed, broken or ASCII only; and text that is safe to show.
 
 Text from files (names, notes, messages of other libraries) may hold control characters, which a terminal
-would obey. `shown` escapes them. `write` never fails: who has closed the stream does not want the text.
+would obey. `shown` escapes them. `write` never fails, also when the stream is closed.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ def prepare() -> None:
     for name in ("stdout", "stderr"):
         stream: Any = getattr(sys, name)
         if stream is None:
-            # Closed by whoever started the process. Standard output is then lost, standard error not missed.
+            # The parent process closed it. A command without standard output fails at its end.
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: PTH123, SIM115
         elif hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="gw-ascii")

@@ -63,7 +63,7 @@ def register(app: typer.Typer) -> None:
         """Learn every layer's Gaussians, and how they move with the pose, from the capture's images.
 
         Reads the maps of `gw bake-maps` and the training take. Ctrl-C writes a checkpoint; the same command
-        goes on from there. Losses and times go to metrics.jsonl, previews (truth, render, labels) beside it.
+        goes on from there. Losses and times go to metrics.jsonl, previews (truth, render, labels) next to it.
         An outer garment is learned best over a known body: train the inner outfit as a subject of its own
         first, then this one with --from-subject.
 

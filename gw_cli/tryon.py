@@ -65,7 +65,7 @@ def register(app: typer.Typer) -> None:
             str,
             typer.Option(
                 metavar="DB",
-                help="With --tradeoff: the fastest point at most so many dB below the best, as 0.3.",
+                help="With --tradeoff: the fastest point that is at most this many dB below the best.",
             ),
         ] = "",
         output: FilmFolder = Path("tryon"),

@@ -30,10 +30,8 @@ def register(app: typer.Typer) -> None:
     ) -> None:
         """Read everything and compare it with the digests it was written with: a subject, or a .gwg bundle.
 
-        A splat file, of any program, is looked at instead: is it whole, is every number possible, what can
-        be seen in it.
-
-        Ends with exit code 65 if anything is damaged. Nothing is changed.
+        A splat file of any program is examined instead: whether it is complete, whether every number is
+        possible, and what it shows. The exit code is 65 if anything is damaged. Nothing is changed.
         """
         from stages.shared.artifacts.verify import verify as verify_workspace
         from stages.shared.artifacts.workspace import Workspace
@@ -60,16 +58,16 @@ def register(app: typer.Typer) -> None:
                 str(path),
                 f"Convert it: splat-transform {path.name} {path.stem}.ply",
             )
-        found = verify_workspace(Workspace(path))
-        for damage in found.damaged:
+        report = verify_workspace(Workspace(path))
+        for damage in report.damaged:
             console.warn(f"{damage.path}: {damage.what}")
         console.result(
-            dataclasses.asdict(found) if as_json else _counts(found.artifacts, found.files, found.bytes)
+            dataclasses.asdict(report) if as_json else _counts(report.artifacts, report.files, report.bytes)
         )
-        if found.damaged:
-            first = found.damaged[0]
+        if report.damaged:
+            first = report.damaged[0]
             raise BadData(
-                f"{len(found.damaged)} damaged: {first.what}".rstrip(".") + ".",
+                f"{len(report.damaged)} damaged: {first.what}".rstrip(".") + ".",
                 str(first.path),
                 f"Run `gw status {path}`; it says which stage to run again.",
             )

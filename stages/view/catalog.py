@@ -58,8 +58,8 @@ class BundleCatalog:
     ) -> Outfit:
         """What the named items are together, on a body of shape `betas` (10,), or its own.
 
-        An outfit that was asked for lately is the same object with the same simulation, so that frames that
-        have been simulated are shown at once.
+        Recent outfits are the same objects with the same simulation, so frames that are simulated already are
+        shown at once.
 
         Arguments:
             trained_poses: the motion is the one that the garments were learned in.

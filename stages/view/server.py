@@ -1,4 +1,4 @@
-"""The viewer's web server: a page, and answers to what it asks; nothing else of the machine can be reached.
+"""The viewer's web server: the page and what it requests. Nothing else on the machine can be reached.
 
     GET  /                     the page
     GET  /show                 bundles, motions, first camera (JSON)
@@ -9,10 +9,10 @@
     POST /picture              {wear, motion, row, betas, camera, hidden, background} -> PNG
     POST /bundle?name=…        the bytes of a .gwg file, to be worn in this session; nothing is written
 
-Only names that the catalogue knows are understood, never paths. A request is refused before anything is
-computed when its `Host` is another one than the address that was given out (a foreign page cannot reach a
-local server by renaming itself), or when a page of another origin sent it. With a token, everything needs it:
-`?token=` for the page, a header after that. Every request that can be read gets an answer with a status.
+Requests contain names of the catalogue, never paths. A request is refused before anything is computed when
+its `Host` is not the address of this server (so that no foreign domain name can point here), or when a page
+of another origin sent it. With a token every request needs it: `?token=` for the page, a header after that.
+Every request that can be read gets an answer with a status.
 """
 
 from __future__ import annotations
@@ -210,7 +210,7 @@ class _Connection(BaseHTTPRequestHandler):
         return HTTPStatus.OK, *answer
 
     def _refusal(self, netloc: str, token: str) -> tuple[str, str] | None:
-        """Why whoever asks is not answered; None for the viewer's own page."""
+        """Why a request is refused; None for one of the viewer's own page."""
         hosts, host = self.server.hosts, self.headers.get("Host", "")
         if hosts and (host not in hosts or (netloc and netloc not in hosts)):
             return "This server has another name.", "Use its address."
@@ -218,8 +218,8 @@ class _Connection(BaseHTTPRequestHandler):
         foreign = origin is not None and origin != f"http://{host}"
         if foreign or site not in ("none", "same-origin"):
             return "Another page may not use this server.", "Open the printed address."
-        given = token or self.headers.get("X-Token", "")
-        if self.server.token and not hmac.compare_digest(given.encode(), self.server.token.encode()):
+        sent = token or self.headers.get("X-Token", "")
+        if self.server.token and not hmac.compare_digest(sent.encode(), self.server.token.encode()):
             return "The token is missing or wrong.", "Open the printed address."
         return None
 

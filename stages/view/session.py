@@ -1,6 +1,6 @@
-"""What the viewer's page asks for: Gaussians of one frame or of many, the wearer's shape, and pictures.
+"""What the viewer's page requests: Gaussians of one frame or of many, the wearer's shape, and pictures.
 
-Nothing in here knows about the network.
+This module knows nothing about the network.
 """
 
 from __future__ import annotations
@@ -104,9 +104,9 @@ class ViewerSession:
             return pack_gaussians(poser.composite(poses, request.row), row=request.row)
 
     def stream(self, request: FrameRequest) -> Iterator[bytes]:
-        """Packed Gaussians of the rows from `request.row` on, round and round, until the caller stops.
+        """Packed Gaussians of the rows from `request.row` on, in a loop, until the caller stops.
 
-        Rows that are late at the motion's own speed are left out; rows to come are made ahead.
+        Rows that are late at the motion's own speed are left out. Later rows are made in advance.
 
         Raises (at once): as `gaussians`.
         """

@@ -37,7 +37,7 @@ def open_viewer(
         poses: motions to play. The canonical pose is always added, and a subject's own motion.
 
     Raises:
-        UsageProblem, MissingInput, BadData: what was given. StorageFailure: the port is taken.
+        UsageProblem, MissingInput, BadData: options and files. StorageFailure: the port is taken.
     """
     parse_betas(config.betas)
     report.step("reading")

@@ -3,7 +3,7 @@
 const byId = (name) => document.getElementById(name);
 const token = new URLSearchParams(location.search).get("token") || "";
 
-const gw = { ready: false, drawn: 0, request: { wear: [], motion: 0, row: 0, betas: "" }, playing: false, rate: 0 };
+const gw = { ready: false, drawn: 0, request: { wear: [], motion: 0, row: 0, betas: "" }, playing: 0, rate: 0, detail: 1 };
 
 // ------------------------------------------------------------------ worker
 
@@ -42,7 +42,7 @@ function frameWorker(token) {
     give(gaussians, id);
   }
 
-  /** Read frames ahead, as long as `id` is what is played; the server waits while nobody reads. */
+  /** Read frames in advance while `id` plays; the server waits while nothing is read. */
   async function play({ address, id }) {
     playing = id;
     queue = [];
@@ -199,10 +199,9 @@ function free() {
   };
 }
 
-const ratio = () => Math.min(devicePixelRatio || 1, 2);
-
-function camera() {
-  const scale = ratio(), covered = free();
+/** detail: share of the screen's resolution, less than 1 where a browser draws too slowly to play. */
+function camera(detail = gw.detail) {
+  const scale = detail * Math.min(devicePixelRatio || 1, 2), covered = free();
   const shown = gw.orbit.camera(Math.round(innerWidth * scale), Math.round(innerHeight * scale));
   shown.intrinsics[2] -= 0.5 * scale * covered.right; // the middle of what is free of panels
   shown.intrinsics[3] -= 0.5 * scale * covered.bottom;
@@ -220,9 +219,12 @@ function fit() {
 
 // ------------------------------------------------------------------ playing
 
+const SLOW = 12, LEAST_DETAIL = 0.4; // fps below which the resolution is lowered, and how far it may fall
+
 function stop() {
   if (gw.playing) gw.worker.postMessage({ stop: true });
   gw.playing = 0;
+  if (gw.detail < 1) { gw.detail = 1; draw(); }
   byId("play").textContent = "Play";
   byId("rate").textContent = "";
   remember();
@@ -255,6 +257,10 @@ function pulled(data) {
     const span = (now - gw.times[0]) / 1000;
     gw.rate = span > 0.5 ? (gw.times.length - 1) / span : 0;
     byId("rate").textContent = gw.rate ? `${gw.rate.toFixed(0)} fps` : "";
+    if (gw.rate && gw.rate < SLOW && gw.detail > LEAST_DETAIL) {
+      gw.detail = Math.max(LEAST_DETAIL, 0.7 * gw.detail);
+      gw.times = [now];
+    }
   }
   requestAnimationFrame(() => { if (gw.playing) pull(); });
 }
@@ -383,8 +389,8 @@ function chooseMotion(index, row = 0) {
 
 /** A PNG from the server, by the renderer of `gw render`. */
 async function picture(background) {
-  const wanted = { ...gw.request, camera: camera(), hidden: [...gw.canvas.hidden], background };
-  return (await ask("picture", { method: "POST", body: JSON.stringify(wanted) })).blob();
+  const request = { ...gw.request, camera: camera(1), hidden: [...gw.canvas.hidden], background };
+  return (await ask("picture", { method: "POST", body: JSON.stringify(request) })).blob();
 }
 
 async function save(background) {

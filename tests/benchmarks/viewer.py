@@ -45,7 +45,8 @@ def viewer(
 ) -> None:
     """Play a motion in a headless Chromium and print the frames per second of page, server and drawing.
 
-    The page counts frames that it has shown over its last two seconds. The server alone makes frames for
+    The page counts frames that it has shown over its last two seconds. A page that draws too slowly lowers
+    its resolution (page_detail, 1 is the screen's). The server alone makes frames for
     nobody; drawing alone shows one frame again and again. Without a graphics card the browser draws on the
     cores that the server needs.
     """
@@ -83,11 +84,12 @@ def _page_rates(tab: Page, address: str, seconds: float) -> dict[str, Any]:
     drawing = tab.run(_DRAWING.replace("COUNT", "5"))
     tab.run("play(), 0")
     time.sleep(seconds)
-    page = tab.run("gw.rate")
+    page, detail = tab.run("gw.rate"), tab.run("gw.detail")
     tab.run("stop()")
     return {
         "gaussians": tab.run("gw.canvas.gaussians.count"),
         "page_fps": round(page, 1),
+        "page_detail": round(detail, 2),
         "drawing_alone_fps": round(drawing, 1),
         "renderer": tab.run(_RENDERER),
     }

@@ -1,5 +1,5 @@
 // Draws 3D Gaussians with WebGL 2, as the CPU renderer of gw does: the same projection, blur and cut-offs,
-// blended front to back in half floats. One class, no library, no request to anywhere.
+// blended front to back in half floats. No library, and no request to another server.
 "use strict";
 
 const BLUR = 0.3; // px², added to both axes of every projected Gaussian
@@ -17,15 +17,16 @@ uniform mat4 cameraFromWorld;
 uniform vec4 intrinsics; // fx, fy, cx, cy in px
 uniform vec2 size;       // px
 uniform float unit;      // m² of one in a covariance
-in uint index;
+uniform highp usampler2D order; // numbers of the Gaussians, nearest first
 flat out vec4 tint;
 flat out vec3 conic;
 out vec2 offset;
-const vec2 CORNERS[4] = vec2[4](vec2(-1, -1), vec2(1, -1), vec2(-1, 1), vec2(1, 1));
+const vec2 CORNERS[6] = vec2[6](vec2(-1, -1), vec2(1, -1), vec2(-1, 1), vec2(-1, 1), vec2(1, -1), vec2(1, 1));
 
 void main() {
   gl_Position = vec4(0, 0, 2, 1); // outside, unless everything below is fine
-  int at = int(index) * 2;
+  int turn = gl_VertexID / 6; // two triangles a Gaussian: software renderers are slow at small instances
+  int at = 2 * int(texelFetch(order, ivec2(turn % ${TEXTURE_WIDTH}, turn / ${TEXTURE_WIDTH}), 0).r);
   ivec2 place = ivec2(at % ${TEXTURE_WIDTH}, at / ${TEXTURE_WIDTH});
   uvec4 first = texelFetch(gaussians, place, 0);
   uvec4 halves = texelFetch(gaussians, place + ivec2(1, 0), 0);
@@ -52,7 +53,7 @@ void main() {
   if (reach <= 0.0) return;
   float middle = 0.5 * (xx + yy), spread = length(vec2(0.5 * (xx - yy), xy));
   vec2 axis = abs(xy) > 1e-9 ? normalize(vec2(xy, middle + spread - xx)) : xx >= yy ? vec2(1, 0) : vec2(0, 1);
-  vec2 corner = CORNERS[gl_VertexID];
+  vec2 corner = CORNERS[gl_VertexID % 6];
   offset = axis * sqrt((middle + spread) * reach) * corner.x
     + vec2(-axis.y, axis.x) * sqrt(max(middle - spread, 0.0) * reach) * corner.y;
   vec2 pixel = focal * point.xy / point.z + centre + offset;
@@ -168,7 +169,7 @@ function boxOf({ floats, count }) {
   return box;
 }
 
-/** A canvas that shows Gaussians; the camera is given as gw has it (x right, y down, z forward). */
+/** A canvas that shows Gaussians; cameras are as in gw (x right, y down, z forward). */
 class SplatCanvas {
   constructor(canvas) {
     this.canvas = canvas;
@@ -185,16 +186,8 @@ class SplatCanvas {
     this.texture = gl.createTexture();
     this.target = gl.createTexture();
     this.framebuffer = gl.createFramebuffer();
-    this.order = gl.createBuffer();
-    this.array = gl.createVertexArray();
-    this.empty = gl.createVertexArray();
-    gl.bindVertexArray(this.array);
-    gl.bindBuffer(gl.ARRAY_BUFFER, this.order);
-    const place = gl.getAttribLocation(this.splats, "index");
-    gl.enableVertexAttribArray(place);
-    gl.vertexAttribIPointer(place, 1, gl.UNSIGNED_INT, 0, 0);
-    gl.vertexAttribDivisor(place, 1);
-    gl.bindVertexArray(null);
+    this.order = gl.createTexture();
+    this.orderRows = 0;
   }
 
   /** Take the Gaussians of another frame or outfit. order: their indices when someone else sorts them. */
@@ -233,26 +226,36 @@ class SplatCanvas {
     gl.blendFunc(gl.ONE_MINUS_DST_ALPHA, gl.ONE); // front to back
     gl.activeTexture(gl.TEXTURE0);
     gl.bindTexture(gl.TEXTURE_2D, this.texture);
+    gl.activeTexture(gl.TEXTURE1);
+    gl.bindTexture(gl.TEXTURE_2D, this.order);
+    gl.activeTexture(gl.TEXTURE0);
+    gl.uniform1i(gl.getUniformLocation(this.splats, "order"), 1);
     gl.uniformMatrix4fv(gl.getUniformLocation(this.splats, "cameraFromWorld"), true, camera.cameraFromWorld);
     gl.uniform4fv(gl.getUniformLocation(this.splats, "intrinsics"), camera.intrinsics);
     gl.uniform2f(gl.getUniformLocation(this.splats, "size"), camera.width, camera.height);
     gl.uniform1f(gl.getUniformLocation(this.splats, "unit"), this.gaussians ? this.gaussians.unit : 1);
-    gl.bindVertexArray(this.array);
-    if (drawn) gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, drawn);
+    if (drawn) gl.drawArrays(gl.TRIANGLES, 0, 6 * drawn);
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.disable(gl.BLEND);
     gl.useProgram(this.show);
     gl.bindTexture(gl.TEXTURE_2D, this.target);
     gl.uniform4fv(gl.getUniformLocation(this.show, "background"), this.background);
-    gl.bindVertexArray(this.empty);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
-    gl.bindVertexArray(null);
   }
 
   _upload(order) {
-    this.gl.bindBuffer(this.gl.ARRAY_BUFFER, this.order);
-    this.gl.bufferData(this.gl.ARRAY_BUFFER, order, this.gl.DYNAMIC_DRAW);
-    this.drawn = order.length;
+    const gl = this.gl, count = order.length, full = Math.floor(count / TEXTURE_WIDTH), rest = count % TEXTURE_WIDTH;
+    gl.bindTexture(gl.TEXTURE_2D, this.order);
+    if (this.orderRows < full + 1) {
+      this.orderRows = full + 1;
+      gl.texImage2D(gl.TEXTURE_2D, 0, gl.R32UI, TEXTURE_WIDTH, full + 1, 0, gl.RED_INTEGER, gl.UNSIGNED_INT, null);
+      this._nearest();
+    }
+    const write = (row, width, height, part) =>
+      gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, row, width, height, gl.RED_INTEGER, gl.UNSIGNED_INT, part);
+    if (full) write(0, TEXTURE_WIDTH, full, order.subarray(0, full * TEXTURE_WIDTH));
+    if (rest) write(full, rest, 1, order.subarray(full * TEXTURE_WIDTH));
+    this.drawn = count;
   }
 
   _resize(width, height) {

@@ -175,3 +175,4 @@ def test_plans_name_inputs_and_costs(from_capture: Path) -> None:
     for stage in (canonicalize, segment_layers, bake_maps):
         plan = stage.plan(from_capture)
         assert plan.inputs and plan.outputs and plan.seconds and plan.memory_bytes
+        assert plan.config.get("picture_scale", [1.0, 1.0]) == [1.0, 1.0], "small pictures keep their size"

@@ -31,9 +31,11 @@ from stages.register_template.fitting.landmark_terms import Targets
 from stages.register_template.hull import rough_hull
 from stages.shared.body import BodyModel, Poses
 from stages.shared.capture import Take
+from stages.shared.capture.scaled_take import reduced_to
 from stages.shared.meshes.mesh import Mesh
 from stages.shared.report import Report
 
+_LONG_SIDE = 768  # pixels: twice the size at which masks are compared, and enough for labels along their edge
 _SHAPE_FRAMES = 4
 _CONTOUR_POINTS, _CONTOUR_POINTS_TRACKED = 400, 200
 _TOGETHER = ((0.05, 6, 0.1), (0.025, 10, 0.03))
@@ -61,6 +63,7 @@ def fit_takes(
     Raises:
         BadData: a frame in which no mask shows the person, or masks that have no volume in common.
     """
+    takes = [reduced_to(take, _LONG_SIDE) for take in takes]
     main = takes[0]
     anchor = main.scan_frame if scan is not None and main.scan_frame in main.frames else main.frames[0]
     report.step(f"fitting the body to frame {anchor} of {main.name}")

@@ -61,7 +61,7 @@ def _scaled(take: Take, scales: dict[str, float]) -> Take:
         return take
     values = {part.name: getattr(take, part.name) for part in fields(Take)}
     values["cameras"] = {name: camera.scaled(scales[name]) for name, camera in take.cameras.items()}
-    return ScaledTake(**values, original=take)
+    return ScaledTake(**values, original=take.original if isinstance(take, ScaledTake) else take)
 
 
 def picture_scales(take: Take | None) -> list[float]:

@@ -46,6 +46,9 @@ def test_pictures_masks_and_labels_are_those_of_the_scaled_camera(tmp_path: Path
     ids = small.labels("cam0", 0)
     assert ids is not None and (ids != labels).mean() < 0.01 and set(np.unique(ids)) == {3, 4, 255}
     assert small.image("cam0", 0) is small.image("cam0", 0), "read once"
+    smaller = reduced_to(small, 100)
+    assert picture_scales(smaller) == [0.125, 0.125] and smaller.image("cam0", 0).shape == (75, 100, 3)
+    assert smaller.mask("cam0", 0).shape == (75, 100)
 
 
 def test_a_take_of_ordinary_pictures_stays_as_it_is(tmp_path: Path) -> None:

@@ -50,8 +50,8 @@ class Texels:
         """Per-vertex values (V, ...) at the texels, (N, ...) float64."""
         flat = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
         corners = faces[self.face]
-        found = sum(self.barycentric[:, k, None] * flat[corners[:, k]] for k in range(3))
-        return np.asarray(found).reshape(len(self.face), *np.shape(values)[1:])
+        values_at_texels = sum(self.barycentric[:, k, None] * flat[corners[:, k]] for k in range(3))
+        return np.asarray(values_at_texels).reshape(len(self.face), *np.shape(values)[1:])
 
 
 def cast_texels(vertices: np.ndarray, faces: np.ndarray, grid: Grid, layer: str, sheets: int = 0) -> Texels:

@@ -1,12 +1,12 @@
-"""Inverse linear blend skinning: which canonical point, with which weights, poses to a given world point.
+"""Inverse linear blend skinning: the canonical point and weights that pose to a world point, and torn faces.
 
 With M_j the transform of bone j from the canonical pose to the world, a canonical point x with weights w
 poses to (Σ_j w_j M_j) x. The inverse of that same blend, (Σ_j w_j M_j)⁻¹, brings the point back exactly;
 blending the inverses does not where several bones share a point (armpits, elbows, crotch).
 
 The weights are a function of the canonical point, w = W(x), so x is the root of (Σ_j W_j(x) M_j) x = y.
-It is sought from weights of the posed body, by damped fixed-point steps and then Newton steps. Whatever
-remains, the returned pair (x, w) satisfies the equation with w kept.
+The search starts with weights of the posed body and takes damped fixed-point steps, then Newton steps. The
+returned pair (x, w) satisfies the equation with w held fixed, whatever residual is left in w = W(x).
 """
 
 from __future__ import annotations

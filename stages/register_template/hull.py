@@ -1,7 +1,7 @@
 """Visual hull: the largest shape that fits into the masks of all cameras at one frame.
 
-Every camera gives a signed distance to its silhouette, in metres at the depth of the point; the smallest over
-the cameras is a field whose zero level is the hull, known to a fraction of a pixel and of a grid step.
+Every camera gives a signed distance to its silhouette, in metres at the depth of the point. The minimum over
+the cameras is a field whose zero level is the hull, exact to a fraction of a pixel and of a grid step.
 """
 
 from __future__ import annotations
@@ -162,8 +162,8 @@ def largest_part(mesh: Mesh) -> Mesh:
     part = components(mesh.faces, len(mesh.vertices))
     used = np.unique(mesh.faces)
     largest = np.bincount(part[used]).argmax()
-    faces, kept = keep_faces(mesh.faces, part[mesh.faces[:, 0]] == largest, len(mesh.vertices))
-    return Mesh(mesh.vertices[kept], faces)
+    faces, rows = keep_faces(mesh.faces, part[mesh.faces[:, 0]] == largest, len(mesh.vertices))
+    return Mesh(mesh.vertices[rows], faces)
 
 
 def smooth(mesh: Mesh, steps: int, forward: float = 0.5, back: float = -0.53) -> Mesh:
@@ -245,10 +245,10 @@ def _rounded(
     inside = np.flatnonzero(values > 0)
     nodes = grid.nodes()[inside]
     scene, normals = RayScene(body, faces), vertex_normals(body, faces).astype(np.float64)
-    place, face, shares = scene.closest(nodes)
-    way = nodes - place
+    closest, face, shares = scene.closest(nodes)
+    offset = nodes - closest
     facing = np.einsum("ns,nsc->nc", shares, normals[faces[face]])
-    distance = np.linalg.norm(way, axis=1) * np.sign(np.einsum("nc,nc->n", way, facing))
+    distance = np.linalg.norm(offset, axis=1) * np.sign(np.einsum("nc,nc->n", offset, facing))
     nearest = faces[face, shares.argmax(axis=1)]
     known, thickness = _touched(grid, silhouettes, nodes, distance, nearest)
     features = np.concatenate([body, _NORMAL_M * normals], axis=1)

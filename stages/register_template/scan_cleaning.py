@@ -1,4 +1,4 @@
-"""A scan as people have them, made fit for use: unit, doubled vertices, orientation, size, one person."""
+"""Cleaning of scans: unit, doubled vertices, orientation of faces, size, and a check for one person."""
 
 from __future__ import annotations
 
@@ -54,14 +54,14 @@ def clean_scan(mesh: Mesh, most_faces: int, where: str, report: Report) -> Clean
     if unit != "m":
         report.warn(f"the scan is in {unit}; it is taken times {metres:g}")
         mesh = replace(mesh, vertices=(metres * mesh.vertices.astype(np.float64)).astype(np.float32))
-    way = "unchanged"
+    method = "unchanged"
     if len(mesh.faces) > _CLUSTERED_FROM * most_faces:
-        mesh, way = cluster(mesh, 2 * most_faces), "clustered"
+        mesh, method = cluster(mesh, 2 * most_faces), "clustered"
     mesh, flipped = outward_faces(mesh)
     if flipped:
         report.say(f"{flipped} of {len(mesh.faces)} faces were turned inside out")
     mesh, simplified = simplify(mesh, most_faces)
-    if way == "clustered" or simplified != "unchanged":
+    if method == "clustered" or simplified != "unchanged":
         report.say(f"the scan is simplified to {len(mesh.faces)} faces")
     content = {
         "unit": unit,
@@ -69,7 +69,7 @@ def clean_scan(mesh: Mesh, most_faces: int, where: str, report: Report) -> Clean
         "doubled_vertices": welded,
         "faces_without_area_or_doubled": dropped,
         "faces_turned": flipped,
-        "simplified": simplified if way == "unchanged" else f"{way}, {simplified}",
+        "simplified": simplified if method == "unchanged" else f"{method}, {simplified}",
     }
     return CleanScan(mesh, content)
 
@@ -103,14 +103,14 @@ def weld(mesh: Mesh) -> tuple[Mesh, int, int]:
     order = np.argsort(first)
     rank = np.empty(len(first), np.int64)
     rank[order] = np.arange(len(first))
-    kept = first[order]
+    rows = first[order]
     welded = Mesh(
-        mesh.vertices[kept],
+        mesh.vertices[rows],
         rank[faces[keep]].astype(np.int32),
-        None if mesh.colors is None else mesh.colors[kept],
-        None if mesh.labels is None else mesh.labels[kept],
+        None if mesh.colors is None else mesh.colors[rows],
+        None if mesh.labels is None else mesh.labels[rows],
     )
-    return welded, len(mesh.vertices) - len(kept), int((~keep).sum())
+    return welded, len(mesh.vertices) - len(rows), int((~keep).sum())
 
 
 def outward_faces(mesh: Mesh, seed: int = 0) -> tuple[Mesh, int]:
@@ -140,8 +140,8 @@ def outward_faces(mesh: Mesh, seed: int = 0) -> tuple[Mesh, int]:
     before = face_normals(mesh.vertices, mesh.faces)[0]
     turned = np.einsum("fc,fc->f", face_normals(mesh.vertices, faces)[0], before) < 0
     # Faces that keep their side keep the order of their corners, too.
-    kept = np.where(turned[:, None], mesh.faces[:, ::-1], mesh.faces)
-    return replace(mesh, faces=kept), int(turned.sum())
+    unflipped = np.where(turned[:, None], mesh.faces[:, ::-1], mesh.faces)
+    return replace(mesh, faces=unflipped), int(turned.sum())
 
 
 # Shares of the mesh: the smallest area of a part that is checked, and the gap below which two parts belong
@@ -160,20 +160,20 @@ def refuse_two_people(mesh: Mesh, where: str) -> None:
     lie within a few centimetres of each other, one above or around the other. Two people leave a gap between
     them, or stand side by side.
     """
-    whole = float(np.ptp(mesh.vertices, axis=0).max())
+    size = float(np.ptp(mesh.vertices, axis=0).max())
     parts, areas = _large_parts(mesh)
-    group = _belonging_together(parts, whole)
+    group = _belonging_together(parts, size)
     people = []
     for number in range(int(group.max(initial=-1)) + 1):
         members = np.flatnonzero(group == number)
         vertices = np.concatenate([parts[member].vertices for member in members])
-        tall = np.ptp(vertices, axis=0).max() > _PERSON_TALL * whole
+        tall = np.ptp(vertices, axis=0).max() > _PERSON_TALL * size
         if tall and areas[members].sum() > _PERSON_AREA:
             people.append(_middle(vertices))
     for place, one in enumerate(people):
         for other in people[place + 1 :]:
             apart = np.linalg.norm(one - other)
-            if apart > _APART * whole:
+            if apart > _APART * size:
                 raise two_people(where, f"two parts stand {apart:.3g} units apart")
 
 
@@ -201,39 +201,39 @@ def _large_parts(mesh: Mesh) -> tuple[list[Mesh], NDArray[np.float64]]:
     return parts, shares[large]
 
 
-def _belonging_together(parts: list[Mesh], whole: float) -> NDArray[np.int32]:
+def _belonging_together(parts: list[Mesh], size: float) -> NDArray[np.int32]:
     """(P,) group number of every part: parts with a small gap between them that are not abreast."""
     first, second = [], []
     for one in range(len(parts)):
         for other in range(one + 1, len(parts)):
-            if _abreast(parts[one].vertices, parts[other].vertices, whole):
+            if _abreast(parts[one].vertices, parts[other].vertices, size):
                 continue
-            if _gap(parts[one], parts[other], whole) < _GAP * whole:
+            if _gap(parts[one], parts[other], size) < _GAP * size:
                 first.append(one)
                 second.append(other)
     links = coo_matrix((np.ones(len(first)), (first, second)), shape=(len(parts), len(parts)))
     return np.asarray(connected_components(links, directed=False)[1], np.int32)
 
 
-def _abreast(one: NDArray[np.floating], other: NDArray[np.floating], whole: float) -> bool:
+def _abreast(one: NDArray[np.floating], other: NDArray[np.floating], size: float) -> bool:
     """Whether two parts are both tall and slim, as tall as the mesh, and side by side."""
     apart = np.abs(_middle(one) - _middle(other))
     across = int(apart.argmax())
     up = int(np.argsort(np.where(np.arange(3) == across, -1, np.ptp(one, axis=0)))[-1])
     sizes = np.stack([np.ptp(one, axis=0), np.ptp(other, axis=0)])
-    standing = (sizes[:, up] > _STANDING * sizes[:, across]) & (sizes[:, up] > _PERSON_TALL * whole)
-    return bool(standing.all() and apart[across] > _APART * whole)
+    standing = (sizes[:, up] > _STANDING * sizes[:, across]) & (sizes[:, up] > _PERSON_TALL * size)
+    return bool(standing.all() and apart[across] > _APART * size)
 
 
-def _gap(one: Mesh, other: Mesh, whole: float) -> float:
+def _gap(one: Mesh, other: Mesh, size: float) -> float:
     """Least distance of the vertices of either part to the other part's surface."""
     low = np.maximum(one.vertices.min(axis=0), other.vertices.min(axis=0))
     high = np.minimum(one.vertices.max(axis=0), other.vertices.max(axis=0))
-    if (low - high).max() > _GAP * whole:
+    if (low - high).max() > _GAP * size:
         return float((low - high).max())  # the boxes are farther apart than that
     ways = []
     for points, surface in ((one.vertices, other), (other.vertices, one)):
-        near = ((points > low - _GAP * whole) & (points < high + _GAP * whole)).all(axis=1)
+        near = ((points > low - _GAP * size) & (points < high + _GAP * size)).all(axis=1)
         some = points[near][:: max(1, int(near.sum()) // _SAMPLES)]
         if len(some):
             ways.append(float(RayScene(surface.vertices, surface.faces).distance(some).min()))

@@ -24,7 +24,7 @@ from stages.shared.meshes.remesh import remesh
 from stages.shared.meshes.topology import vertex_normals
 from stages.shared.report import Report
 
-# A template farther than this from the body (median of its vertices) is of another frame, place or unit.
+# A template with a larger median distance from the body belongs to another frame, place or unit.
 MEDIAN_BAR_M = 0.15
 _LEG_JOINTS = [JOINT_INDEX[name] for name in ("pelvis", "left_hip", "right_hip", "left_knee", "right_knee")]
 _COMPARED = 3000  # vertices that are looked at to find the up axis
@@ -65,14 +65,14 @@ def make_surface(
         faces = body.faces if config.hull_rounded else None
         legs = np.isin(body.skin_weights.argmax(axis=1), _LEG_JOINTS)
         carved = carve(take, frame, posed, config.hull_pitch_m, config.hull_reach_m, report, faces, legs)
-        even, way = remesh(smooth(carved, config.smoothing_steps), config.edge_m)
+        even, method = remesh(smooth(carved, config.smoothing_steps), config.edge_m)
         mesh = largest_part(even)
-        how = {"made": "hull", "carved_vertices": len(carved.vertices), "remeshed": way}
+        how = {"made": "hull", "carved_vertices": len(carved.vertices), "remeshed": method}
     return _colored(mesh, take, frame), how
 
 
 def _colored(mesh: Mesh, take: Take, frame: int) -> Mesh:
-    """The mesh with the colours that the cameras see; unseen vertices take the nearest seen one's."""
+    """The mesh with colours from the pictures; an unseen vertex takes the colour of the nearest seen one."""
     normals = vertex_normals(mesh.vertices, mesh.faces)
     colors, confidence = project_colors(
         mesh.vertices, normals, RayScene(mesh.vertices, mesh.faces), take, frame
@@ -97,8 +97,8 @@ def _check_scan(mesh: Mesh, posed: NDArray[np.float64], take: Take) -> None:
 def turned_upright(mesh: Mesh, posed: NDArray[np.float64], report: Report) -> tuple[Mesh, str]:
     """The mesh turned so that its up axis is the body's, and which axis was up.
 
-    A scan in another convention than its poses lies far from the body, and near to it once turned about the
-    world's origin. A mesh that no turn brings nearer is left alone.
+    A scan in another axis convention than its poses lies far from the body until it is turned about the
+    world's origin. A mesh that no turn brings near is not changed.
     """
     tree = cKDTree(posed)
     some = mesh.vertices[:: max(1, len(mesh.vertices) // _COMPARED)]

@@ -58,9 +58,9 @@ def extract_part(
         ring[new[ring[new] < 0]] = max(rings, 1)
         taken |= beneath
     numbers = np.flatnonzero(ring >= 0)
-    place = np.full(vertex_count, -1)
-    place[numbers] = np.arange(len(numbers))
-    return LayerPart(numbers, place[faces[taken]], ring[numbers])
+    renumbered = np.full(vertex_count, -1)
+    renumbered[numbers] = np.arange(len(numbers))
+    return LayerPart(numbers, renumbered[faces[taken]], ring[numbers])
 
 
 def faces_beneath(

@@ -185,7 +185,7 @@ def slots_of(layers: dict[str, LayerMesh]) -> dict[str, list[str]]:
     A garment is one piece when the other of upper and lower is not there and a good part of its vertices
     follows the torso and the arms, and a good part the legs.
     """
-    found = {name: [name] for name in garments_of(layers)}
+    slots = {name: [name] for name in garments_of(layers)}
     for name, other in (ONE_PIECE, ONE_PIECE[::-1]):
         if name in layers and other not in layers:
             mesh = layers[name]
@@ -193,5 +193,5 @@ def slots_of(layers: dict[str, LayerMesh]) -> dict[str, list[str]]:
             leg = float(weights[:, _LEGS].sum(axis=1).mean()) if len(weights) else 0.0
             torso = float(weights[:, _TORSO_AND_ARMS].sum(axis=1).mean()) if len(weights) else 0.0
             if min(leg, torso) > _ONE_PIECE:
-                found[name] = list(ONE_PIECE)
-    return found
+                slots[name] = list(ONE_PIECE)
+    return slots

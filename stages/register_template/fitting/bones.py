@@ -111,7 +111,7 @@ class Bones:
     above: Doubles
     betas: Doubles
 
-    def place(self, points: SurfacePoints) -> Doubles:
+    def positions(self, points: SurfacePoints) -> Doubles:
         """World positions (K, 3) of points."""
         rest = points.rest + points.directions @ self.betas
         blended = (points.weights @ self.turned.reshape(JOINT_COUNT, 9)).reshape(-1, 3, 3)
@@ -169,11 +169,11 @@ def vertices_of(body: BodyModel, state: State, frame: int = 0) -> Doubles:
     """(V, 3) posed vertices of one frame, world, metres; pose correctives are applied when there are any."""
     bones = bones_of(body, state, frame)
     if body.pose_directions is None:
-        return bones.place(all_vertices(body))
+        return bones.positions(all_vertices(body))
     local = Rotation.from_rotvec(state.rotations[frame, 1:]).as_matrix() - np.eye(3)
     correction = (local.reshape(-1).astype(np.float32) @ body.pose_directions).reshape(-1, 3)
     points = all_vertices(body)
-    return bones.place(SurfacePoints(points.rest + correction, points.directions, points.weights))
+    return bones.positions(SurfacePoints(points.rest + correction, points.directions, points.weights))
 
 
 def all_vertices(body: BodyModel) -> SurfacePoints:

@@ -176,8 +176,8 @@ def _promising(body: BodyModel, guesses: list[InitialGuess], scan: ScanPoints) -
     level = LEVELS[0]
     thinned, outer = scan.thinned(level.points), outer_points(body, level.points)
     for one in guesses:
-        places = bones_of(body, one.state, 0).place(outer)
-        one.loss = misfit(body, vertices_of(body, one.state), places, thinned, level.robust)
+        positions = bones_of(body, one.state, 0).positions(outer)
+        one.loss = misfit(body, vertices_of(body, one.state), positions, thinned, level.robust)
     return sorted(guesses, key=lambda one: one.loss)[:_MOST_GUESSES]
 
 
@@ -201,9 +201,9 @@ def _improve(
         contact = scan.contact_at_least(level.least_contact)
         terms = [
             from_scan(body, vertices, contact, level.robust),
-            from_body(outer, bones.place(outer), contact, level.robust),
+            from_body(outer, bones.positions(outer), contact, level.robust),
         ]
         state = step(state, [bones], [terms], prior, active)
     guess.state = state
-    places = bones_of(body, state, 0).place(outer)
-    guess.loss = misfit(body, vertices_of(body, state), places, scan, level.robust)
+    positions = bones_of(body, state, 0).positions(outer)
+    guess.loss = misfit(body, vertices_of(body, state), positions, scan, level.robust)

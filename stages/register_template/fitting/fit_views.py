@@ -146,7 +146,7 @@ def refine(
                     body,
                     vertices_of(body, state, number),
                     outer,
-                    bones[number].place(outer),
+                    bones[number].positions(outer),
                     one,
                     robust,
                     least_contact,
@@ -162,9 +162,9 @@ def refine(
 def misfit_of(body: BodyModel, state: State, observation: Observation) -> float:
     """Root of the mean squared robust distance of one frame's contours, metres."""
     outer = outer_points(body, _OUTER_POINTS)
-    places = bones_of(body, state).place(outer)
+    positions = bones_of(body, state).positions(outer)
     return float(
-        np.sqrt(view_misfit(body, vertices_of(body, state), places, list(observation.views), _MISFIT_M))
+        np.sqrt(view_misfit(body, vertices_of(body, state), positions, list(observation.views), _MISFIT_M))
     )
 
 
@@ -186,7 +186,7 @@ def _terms(
     body: BodyModel,
     vertices: np.ndarray,
     outer: SurfacePoints,
-    places: np.ndarray,
+    positions: np.ndarray,
     observation: Observation,
     robust: float,
     least_contact: float,
@@ -195,12 +195,12 @@ def _terms(
 ) -> list[Residuals]:
     terms, normals = [], face_normals(vertices, body.faces)[0]
     for view in observation.views:
-        terms.append(outside_of_mask(outer, places, view, robust))
+        terms.append(outside_of_mask(outer, positions, view, robust))
         terms.append(contour_distance(body, vertices, normals, view, robust, least_contact))
     if observation.scan is not None:
         contact = observation.scan.contact_at_least(least_contact)
         near = min(robust, _SCAN_ROUND.robust)
-        terms += [from_scan(body, vertices, contact, near), from_body(outer, places, contact, near)]
+        terms += [from_scan(body, vertices, contact, near), from_body(outer, positions, contact, near)]
     if observation.landmarks is not None:
         terms.append(landmark_residuals(body, state, frame, observation.landmarks, len(observation.views)))
     return [one for one in terms if len(one.values)]

@@ -124,7 +124,7 @@ def first_state(body: BodyModel, targets: Targets, betas: Doubles | None = None)
 def landmark_distances(body: BodyModel, state: State, frame: int, targets: Targets) -> dict[str, float]:
     """Metres between the body's landmarks and the triangulated ones: median, and the median of some parts."""
     numbers, points, _ = landmark_points(body)
-    away = np.linalg.norm(bones_of(body, state, frame).place(points) - targets.points[numbers], axis=1)
+    away = np.linalg.norm(bones_of(body, state, frame).positions(points) - targets.points[numbers], axis=1)
     result = {"all": float(np.nanmedian(away)) if np.isfinite(away).any() else np.nan}
     for part, members in CHECKED.items():
         some = away[np.isin(numbers, members)]
@@ -139,13 +139,13 @@ def _residuals(
     known = targets.known[numbers]
     rows = np.flatnonzero(known)
     some = SurfacePoints(points.rest[rows], points.directions[rows], points.weights[rows])
-    way = bones_of(body, state, frame).place(some) - targets.points[numbers[rows]]
-    kernel = (robust**2 / (robust**2 + (way**2).sum(axis=1))) ** 2
+    offset = bones_of(body, state, frame).positions(some) - targets.points[numbers[rows]]
+    kernel = (robust**2 / (robust**2 + (offset**2).sum(axis=1))) ** 2
     weights = kernel * measurements / (max(len(rows), 1) * noise[rows] ** 2)
     three = np.repeat(np.arange(len(rows)), 3)
     axes = np.tile(np.eye(3), (len(rows), 1))
     tripled = SurfacePoints(some.rest[three], some.directions[three], some.weights[three])
-    return Residuals(tripled, way.reshape(-1), axes, weights[three])
+    return Residuals(tripled, offset.reshape(-1), axes, weights[three])
 
 
 def _vertex_landmarks(body: BodyModel) -> dict[int, int]:

@@ -117,15 +117,15 @@ class Nearest:
 
 def nearest_on_body(body: BodyModel, vertices: Doubles, points: Doubles) -> Nearest:
     """Where `points` (M, 3) are nearest to the body with posed `vertices` (V, 3)."""
-    place, faces, shares = RayScene(vertices, body.faces).closest(points)
+    closest, faces, shares = RayScene(vertices, body.faces).closest(points)
     normals = face_normals(vertices, body.faces[faces])[0]
-    way = points - place
+    offset = points - closest
     return Nearest(
         faces,
         shares.astype(np.float64),
         normals,
-        np.einsum("mc,mc->m", way, normals),
-        np.einsum("mc,mc->m", way, way),
+        np.einsum("mc,mc->m", offset, normals),
+        np.einsum("mc,mc->m", offset, offset),
     )
 
 
@@ -147,17 +147,17 @@ def from_scan(body: BodyModel, vertices: Doubles, scan: ScanPoints, robust: floa
     return Residuals(points, near.outside[used], -near.normals[used], weights[used])
 
 
-def from_body(points: SurfacePoints, places: Doubles, scan: ScanPoints, robust: float) -> Residuals:
+def from_body(points: SurfacePoints, positions: Doubles, scan: ScanPoints, robust: float) -> Residuals:
     """Body points (K, 3) to the plane of the scan point nearest to them.
 
     Points outside of the scan count fully. Inside they count little, because there are clothes, and the scan
     may have holes.
     """
-    near = scan.tree.query(places)[1]
-    way = places - scan.points[near]
-    outside = np.einsum("kc,kc->k", way, scan.normals[near])
+    near = scan.tree.query(positions)[1]
+    offset = positions - scan.points[near]
+    outside = np.einsum("kc,kc->k", offset, scan.normals[near])
     contact = np.where(outside > 0, 1.0, 0.3 * scan.contact[near])
-    weights = contact * _kernel((way * way).sum(axis=1), robust) * _scale(robust, len(places))
+    weights = contact * _kernel((offset * offset).sum(axis=1), robust) * _scale(robust, len(positions))
     return Residuals(points, outside, scan.normals[near], weights)
 
 
@@ -173,9 +173,9 @@ def misfit(body: BodyModel, vertices: Doubles, outer: Doubles, scan: ScanPoints,
     lost = robust**2
     scan_side = np.where(agree, _robust(near.squared, robust), lost) * contact
     near_scan = scan.tree.query(outer)[1]
-    way = outer - scan.points[near_scan]
-    poking = (way * scan.normals[near_scan]).sum(axis=1) > 0
-    body_side = np.where(poking, 1.0, 0.3) * _robust((way * way).sum(axis=1), robust)
+    offset = outer - scan.points[near_scan]
+    poking = (offset * scan.normals[near_scan]).sum(axis=1) > 0
+    body_side = np.where(poking, 1.0, 0.3) * _robust((offset * offset).sum(axis=1), robust)
     return float(scan_side.sum() / contact.sum() + body_side.mean())
 
 

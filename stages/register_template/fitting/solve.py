@@ -13,7 +13,7 @@ from stages.register_template.fitting.bones import Bones, Doubles, State, Surfac
 from stages.register_template.fitting.prior import Prior
 
 _LONGEST_TURN = 0.35  # radians per step and joint
-_LONGEST_WAY = 0.25  # metres per step
+_LONGEST_OFFSET = 0.25  # metres per step
 _LARGEST_CHANGE = 1.0  # of a beta per step
 DAMPING = 1e-3  # share of the diagonal that is added to it
 
@@ -72,10 +72,10 @@ def step(
             rows *= np.sqrt(one.weights)[:, None].astype(np.float32)
             matrix[np.ix_(block, block)] += rows.T @ rows
             right[block] -= rows.T @ (np.sqrt(one.weights) * one.values).astype(np.float32)
-        own = first + 3 + np.arange(width - 3)
+        pose = first + 3 + np.arange(width - 3)
         hessian, slope = prior.pose(state.rotations[number], number)
-        matrix[np.ix_(own, own)] += hessian[np.ix_(turns, turns)]
-        right[own] -= slope[turns]
+        matrix[np.ix_(pose, pose)] += hessian[np.ix_(turns, turns)]
+        right[pose] -= slope[turns]
     hessian_shape, slope_shape = prior.shape(state.betas)
     matrix[tail, tail] += hessian_shape[active.betas]
     right[tail] -= slope_shape[active.betas]
@@ -90,8 +90,9 @@ def _moved(state: State, solution: Doubles, active: ActiveParameters) -> State:
     frames, shape = len(state.rotations), len(active.betas)
     changes = solution[: len(solution) - shape].reshape(frames, -1)
     for number, change in enumerate(changes):
-        way, turns = change[:3], change[3:].reshape(-1, 3)
-        result.translation[number] += way * min(1.0, _LONGEST_WAY / max(float(np.linalg.norm(way)), 1e-12))
+        offset, turns = change[:3], change[3:].reshape(-1, 3)
+        length = max(float(np.linalg.norm(offset)), 1e-12)
+        result.translation[number] += offset * min(1.0, _LONGEST_OFFSET / length)
         angles = np.linalg.norm(turns, axis=1, keepdims=True)
         turns = turns * np.minimum(1.0, _LONGEST_TURN / np.maximum(angles, 1e-12))
         before = Rotation.from_rotvec(result.rotations[number, active.joints])

@@ -22,17 +22,17 @@ _LEAST_DEPTH = 0.1
 _EDGES: dict[str, NDArray[np.intp]] = {}
 
 
-def outside_of_mask(points: SurfacePoints, places: Doubles, view: View, robust: float) -> Residuals:
+def outside_of_mask(points: SurfacePoints, positions: Doubles, view: View, robust: float) -> Residuals:
     """Body points whose projection lies outside of the mask, with their distance to it in metres."""
-    pixels, depth = view.camera.project(places)
+    pixels, depth = view.camera.project(positions)
     visible = view.camera.in_view(pixels) & (depth > _LEAST_DEPTH)
     columns, rows = (np.where(visible, pixels[:, axis], 0).astype(int) for axis in (0, 1))
     metres = np.where(visible, depth, 1.0) / _focal(view.camera)
     value = view.distance[rows, columns] * metres
     used = np.flatnonzero(visible & (value < 0))
     slope = view.slope[rows[used], columns[used]]
-    gradients = _through_camera(view.camera, places[used], slope) * metres[used, None]
-    weights = _weights(value[used], robust, len(places))
+    gradients = _through_camera(view.camera, positions[used], slope) * metres[used, None]
+    weights = _weights(value[used], robust, len(positions))
     return Residuals(_some(points, used), value[used], gradients, weights)
 
 
@@ -50,8 +50,8 @@ def contour_distance(
     """
     faces, shares, directions = occluding_contour(body, vertices, normals, view.camera)
     points = surface_points(body, faces, shares)
-    places = np.einsum("ks,ksc->kc", shares, vertices[body.faces[faces]])
-    pixels, depth = view.camera.project(places)
+    positions = np.einsum("ks,ksc->kc", shares, vertices[body.faces[faces]])
+    pixels, depth = view.camera.project(positions)
     good = np.isfinite(pixels).all(axis=1) & (depth > _LEAST_DEPTH)
     if good.sum() < 3:
         return Residuals(_some(points, np.empty(0, int)), np.empty(0), np.empty((0, 3)), np.empty(0))
@@ -69,20 +69,20 @@ def contour_distance(
         contact = contact_of_joints()[joints]
     contact = np.where(value > 0, np.maximum(contact, least_contact), 1.0)
     weights = agree * contact * _weights(apart, robust, len(view.contour))
-    gradients = -_through_camera(view.camera, places[near], view.normals) * metres[:, None]
+    gradients = -_through_camera(view.camera, positions[near], view.normals) * metres[:, None]
     return Residuals(_some(points, near), value, gradients, weights)
 
 
 def view_misfit(
-    body: BodyModel, vertices: Doubles, places: Doubles, views: list[View], robust: float
+    body: BodyModel, vertices: Doubles, positions: Doubles, views: list[View], robust: float
 ) -> float:
     """Misfit to masks, metres²: mean robust distances of contours and of points outside of the masks."""
     total = 0.0
     normals = face_normals(vertices, body.faces)[0]
     for view in views:
         faces, shares, directions = occluding_contour(body, vertices, normals, view.camera)
-        contour_places = np.einsum("ks,ksc->kc", shares, vertices[body.faces[faces]])
-        pixels, depth = view.camera.project(contour_places)
+        contour_positions = np.einsum("ks,ksc->kc", shares, vertices[body.faces[faces]])
+        pixels, depth = view.camera.project(contour_positions)
         good = np.isfinite(pixels).all(axis=1)
         metres = float(np.median(depth)) / _focal(view.camera)
         if good.sum() < 3:
@@ -91,7 +91,7 @@ def view_misfit(
         tree = cKDTree(np.concatenate([pixels[good], _NORMAL_PIXELS * directions[good]], axis=1))
         apart = tree.query(np.concatenate([view.contour, _NORMAL_PIXELS * view.normals], axis=1))[0] * metres
         total += float((apart**2 * robust**2 / (apart**2 + robust**2)).mean())
-        spots, _ = view.camera.project(places)
+        spots, _ = view.camera.project(positions)
         visible = view.camera.in_view(spots)
         columns, rows = (np.where(visible, spots[:, axis], 0).astype(int) for axis in (0, 1))
         over = np.where(visible, np.minimum(view.distance[rows, columns], 0) * metres, 0)
@@ -135,9 +135,9 @@ def _edges(body: BodyModel) -> NDArray[np.intp]:
     return _EDGES[body.digest]
 
 
-def _through_camera(camera: Camera, places: Doubles, slopes: NDArray) -> Doubles:
+def _through_camera(camera: Camera, positions: Doubles, slopes: NDArray) -> Doubles:
     """(K, 3) derivative by the world point of slopes (K, 2) · pixel."""
-    in_camera = places @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
+    in_camera = positions @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
     depth = in_camera[:, 2]
     fx, fy = camera.intrinsics[0, 0], camera.intrinsics[1, 1]
     x, y = slopes[:, 0] * fx / depth, slopes[:, 1] * fy / depth

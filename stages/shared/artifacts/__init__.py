@@ -1,4 +1,4 @@
-"""The artifact store: what stages hand each other, whole or absent, and named by what made it."""
+"""The artifact store: results of stages, written completely or not at all, and named by their inputs."""
 
 from stages.shared.artifacts.artifact import Artifact
 from stages.shared.artifacts.build import Build

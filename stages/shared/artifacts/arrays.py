@@ -1,7 +1,7 @@
-"""Arrays on disk: safetensors; the same content gives the same bytes, and no claim is believed unchecked.
+"""Arrays on disk as safetensors: the same content gives the same bytes, and a reader checks every header.
 
 Layout of a file: 8 bytes little-endian header length, a JSON header (name to dtype, shape, offsets), then the
-arrays without gaps. Wider types stand first, so every array is aligned and can be used where it was read.
+arrays without gaps. Wider types come first, so every array is aligned and is used without a copy.
 """
 
 from __future__ import annotations
@@ -156,7 +156,7 @@ def _header(data: bytearray, path: Path) -> tuple[dict[str, Any], int]:
 
 
 def _span(name: str, entry: Any, path: Path) -> tuple[int, int]:
-    """Begin and end of one array, after its shape, type and length were found to agree."""
+    """Begin and end of one array, after a check that its shape, type and length agree."""
     if not isinstance(entry, dict) or set(entry) != {"dtype", "shape", "data_offsets"}:
         raise _damaged(path, "its header entry is not dtype, shape and offsets", name)
     shape, offsets = entry["shape"], entry["data_offsets"]

@@ -1,4 +1,4 @@
-"""An artifact in the making: a hidden folder that gets its name when everything in it is on the disk."""
+"""Writing an artifact: a hidden folder that is renamed when everything in it is on the disk."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ _LIBRARIES = ("numpy", "torch", "scipy", "open3d", "igl", "trimesh", "cv2", "num
 
 
 class Build:
-    """Context manager: write files, leave the block, and `artifact` is there; or an error, and nothing is.
+    """Context manager that writes an artifact. On an error inside the block nothing is left.
 
     Attributes:
         path: the hidden folder that is being filled.
@@ -137,9 +137,9 @@ class Build:
             for name, listing in listings.items():
                 self._write(name, readable_json(listing))
             self._complete = {
-                name: complete_folders(given.listed(), given.root)
-                for name, given in self._inputs.items()
-                if isinstance(given, ExternalFiles)
+                name: complete_folders(source.listed(), source.root)
+                for name, source in self._inputs.items()
+                if isinstance(source, ExternalFiles)
             }
         except BaseException:
             self._abandon()

@@ -1,9 +1,9 @@
 """The wardrobe file `.gwg`: a body or a garment, whole, in one safetensors file.
 
 The header's metadata holds a JSON manifest (`gwg`) and its SHA-256 (`gwg_sha256`); the manifest holds the
-SHA-256 of every tensor. The same content gives the same bytes, and only those: every byte of a file is either
-digested or must be exactly what `write_bundle` would write. Nothing in a bundle is a program, a path or a
-date. A reader believes no number before it has checked it.
+SHA-256 of every tensor. The same content always gives the same bytes: every byte of a file is either
+digested or must be exactly what `write_bundle` would write. A bundle holds no program, path or date. A reader
+checks every number before it uses it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the manifest and the arrays of a bundle mean, and which values cannot be meant.
+"""The manifest and the arrays of a bundle: their meaning, and the values that are refused.
 
 Manifest:
     kind            "body" or "garment"

@@ -1,4 +1,4 @@
-"""Which tensors of a bundle are kept with 16 bits: those where it costs nothing that can be seen.
+"""Which tensors of a bundle are stored with 16 bits: those where the loss is not visible.
 
 Positions, spacings, indices and the body model keep 32 bits.
 `tests/benchmarks/precision.py` measures the rest.
@@ -36,14 +36,14 @@ def halved(arrays: Arrays) -> Arrays:
 
 def whole(arrays: Arrays) -> Arrays:
     """The arrays with 32 bits, and skinning weights whose rows sum to one again."""
-    found = {
+    widened = {
         name: array.astype(np.float32) if array.dtype == np.float16 else array
         for name, array in arrays.items()
     }
     for name in ("maps/skin_weights", "skin_weights"):
         if name in arrays and arrays[name].dtype == np.float16:
-            found[name] /= found[name].sum(axis=1, keepdims=True)
-    return found
+            widened[name] /= widened[name].sum(axis=1, keepdims=True)
+    return widened
 
 
 def _half(array: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""One text for one value: canonical JSON, and the digests made of it."""
+"""Canonical JSON, one text for each value, and the digests made of it."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def _hashed_fields(value: Any) -> list[dataclasses.Field[Any]]:
 
 
 def canonical_json(value: Any) -> bytes:
-    """The one text of a value: sorted names, no spaces, UTF-8."""
+    """The canonical text of a value: sorted names, no spaces, UTF-8."""
     return json.dumps(
         to_json(value), sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False
     ).encode()
@@ -94,7 +94,7 @@ def artifact_key(stage: str, schema: str, code_version: int, config: Any, inputs
 
 
 def seal(value: dict[str, Any]) -> bytes:
-    """A JSON file that carries its own SHA-256, so that a flipped bit in it is found."""
+    """A JSON file that carries its own SHA-256, so that a changed bit is detected."""
     return readable_json({**value, "sha256": digest(canonical_json(value))})
 
 

@@ -1,4 +1,4 @@
-"""Files outside the workspace that a stage reads: what they hold, and whether that has changed."""
+"""Files outside the workspace that a stage reads: their digests, and whether they have changed."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from stages.shared.artifacts.files import write_whole
 from stages.shared.errors import MissingInput, StorageFailure
 
 READ_BYTES = 1 << 20
-# A file changed again within this time of being hashed could keep its time stamp: it is not remembered.
+# A file that changed this recently could change again with the same time stamp, so its digest is not cached.
 _SETTLED_NANOSECONDS = 2_000_000_000
 CACHE_NAME = ".digests.json"
 
@@ -63,7 +63,7 @@ def listing_digest(listing: dict[str, str]) -> str:
 
 
 def changes(recorded: dict[str, str], root: Path, cache: DigestCache) -> Iterable[str]:
-    """Relative paths of a recorded listing that hold something else now, each with what happened."""
+    """Relative paths of a recorded listing whose files are gone or changed, each with what happened."""
     for path, expected in recorded.items():
         try:
             found = cache.digest(root / path)
@@ -191,7 +191,7 @@ class DigestCache:
         return found
 
     def save(self) -> None:
-        """Keep what was learnt, if anything was.
+        """Write the digests of newly read files, if there are any.
 
         Raises:
             StorageFailure: the workspace cannot be written.

@@ -1,6 +1,6 @@
-"""The file layer: every byte the store writes goes through these few calls.
+"""The file layer: all writes of the store go through these few calls.
 
-`FileLayer` is the seam for tests: they install one that fails, or kills the process, at the n-th call.
+`FileLayer` can be replaced by tests: theirs fails, or kills the process, at the n-th call.
 Failures become `StorageFailure` with the bytes that were needed and the bytes that are free.
 """
 

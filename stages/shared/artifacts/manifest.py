@@ -1,4 +1,4 @@
-"""The manifest of an artifact: what made it and what it holds, in a fixed text without dates or places."""
+"""The manifest of an artifact: what made it and what it holds, without dates or paths."""
 
 from __future__ import annotations
 

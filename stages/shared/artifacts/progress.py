@@ -1,4 +1,4 @@
-"""Work of a long stage that survives a kill: atomically replaced files, kept until the artifact is done."""
+"""Unfinished work of a long stage that survives a kill: files that are replaced atomically."""
 
 from __future__ import annotations
 

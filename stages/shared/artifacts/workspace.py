@@ -1,4 +1,4 @@
-"""A subject's workspace: the artifacts of every stage, which of them is in use, and who may write."""
+"""A subject's workspace: the artifacts of all stages, which of them are in use, and the settings."""
 
 from __future__ import annotations
 
@@ -288,39 +288,39 @@ class Workspace:
     ) -> tuple[dict[str, InputEntry], dict[str, dict[str, str]]]:
         """Inputs as the manifest records them, and the listings of external files."""
         entries, listings = {}, {}
-        for name, given in inputs.items():
-            if isinstance(given, Artifact):
-                entries[name] = InputEntry(given.digest, stage=given.stage, key=given.key)
+        for name, source in inputs.items():
+            if isinstance(source, Artifact):
+                entries[name] = InputEntry(source.digest, stage=source.stage, key=source.key)
                 continue
-            listing = given.listing(cache)
+            listing = source.listing(cache)
             file = f"inputs/{name.replace('/', '-')}.json"
             listings[file] = listing
             entries[name] = InputEntry(
-                listing_digest(listing), root=self._root_setting(given), listing=file, count=len(listing)
+                listing_digest(listing), root=self._root_setting(source), listing=file, count=len(listing)
             )
         return entries, listings
 
     def _remember_roots(self, inputs: Inputs) -> None:
         """Write into `subject.json` where external files are, unless it says so already."""
-        for given in inputs.values():
-            if isinstance(given, ExternalFiles):
-                name = self._root_setting(given)
-                if not self._leads_to(name, given.root):
-                    self.save_settings(**{name: given.root})
+        for source in inputs.values():
+            if isinstance(source, ExternalFiles):
+                name = self._root_setting(source)
+                if not self._leads_to(name, source.root):
+                    self.save_settings(**{name: source.root})
 
-    def _root_setting(self, given: ExternalFiles) -> str:
+    def _root_setting(self, source: ExternalFiles) -> str:
         """Name of the setting that says where these files are.
 
         The one the group is named after; a second name only where the first leads to something else that is
         there, e.g. to a file in that folder.
         """
-        text = self.settings().get(given.setting)
+        text = self.settings().get(source.setting)
         taken = (
             text is not None
             and (self.root / str(text)).exists()
-            and not self._leads_to(given.setting, given.root)
+            and not self._leads_to(source.setting, source.root)
         )
-        return f"{given.setting}_root" if taken else given.setting
+        return f"{source.setting}_root" if taken else source.setting
 
     def _leads_to(self, setting: str, folder: Path) -> bool:
         text = self.settings().get(setting)

@@ -29,7 +29,7 @@ def pack_body(body: BodyModel, weights_per_vertex: int = 6) -> dict[str, NDArray
 
     Arguments:
         body: a model without expression, pose correctives and hand space.
-        weights_per_vertex: largest skin weights kept per vertex.
+        weights_per_vertex: largest skin weights stored per vertex.
 
     Returns:
         vertices (V,3) i16 with vertex_scale (3,) f32 metres per step; shape (V,3,10) i16 with shape_scale
@@ -42,8 +42,8 @@ def pack_body(body: BodyModel, weights_per_vertex: int = 6) -> dict[str, NDArray
     vertices, vertex_scale = _quantise(body.template_vertices)
     shape, shape_scale = _quantise(body.shape_directions)
     joints = np.argsort(-body.skin_weights, axis=1, kind="stable")[:, :weights_per_vertex]
-    kept = np.take_along_axis(body.skin_weights, joints, axis=1)
-    kept = np.round(kept / kept.sum(axis=1, keepdims=True) * _WEIGHT_LEVELS)
+    largest = np.take_along_axis(body.skin_weights, joints, axis=1)
+    largest = np.round(largest / largest.sum(axis=1, keepdims=True) * _WEIGHT_LEVELS)
     rows, columns = np.nonzero(body.joint_regressor)
     return {
         "vertices": vertices,
@@ -52,7 +52,7 @@ def pack_body(body: BodyModel, weights_per_vertex: int = 6) -> dict[str, NDArray
         "shape_scale": shape_scale,
         "faces": body.faces.astype(np.uint16),
         "weight_joints": joints.astype(np.uint8),
-        "weights": kept.astype(np.uint16),
+        "weights": largest.astype(np.uint16),
         "regressor_joints": rows.astype(np.uint8),
         "regressor_vertices": columns.astype(np.uint16),
         "regressor_values": body.joint_regressor[rows, columns].astype(np.float32),
@@ -63,9 +63,9 @@ def unpack_arrays(packed: dict[str, NDArray[Any]], source: str) -> BodyModel:
     """The body model out of the arrays of `pack_body`. Raises BadData when they do not fit together."""
     count = len(packed["vertices"])
     weights = np.zeros((count, JOINT_COUNT), dtype=np.float32)
-    kept = packed["weights"].astype(np.float32)
-    rows = np.repeat(np.arange(count), kept.shape[1])
-    np.add.at(weights, (rows, packed["weight_joints"].reshape(-1)), kept.reshape(-1))
+    largest = packed["weights"].astype(np.float32)
+    rows = np.repeat(np.arange(count), largest.shape[1])
+    np.add.at(weights, (rows, packed["weight_joints"].reshape(-1)), largest.reshape(-1))
     regressor = np.zeros((JOINT_COUNT, count), dtype=np.float32)
     regressor[packed["regressor_joints"], packed["regressor_vertices"]] = packed["regressor_values"]
     return BodyModel.from_arrays(

@@ -1,4 +1,4 @@
-"""PLY meshes: a bounded reader for ASCII and both byte orders, and a writer with reproducible bytes."""
+"""PLY meshes: a reader for ASCII and both byte orders with bounds, and a writer with reproducible bytes."""
 
 from __future__ import annotations
 

@@ -107,9 +107,9 @@ def _absorb(labels: np.ndarray, edges: np.ndarray, patches: np.ndarray, chosen: 
     inside = np.isin(patches[pairs[:, 0]], chosen)
     pairs = pairs[inside]
     across = labels[pairs[:, 1]].copy()
-    own = patches[pairs[:, 0]]
+    patch_of_pair = patches[pairs[:, 0]]
     for patch in chosen:
-        around = across[own == patch]
+        around = across[patch_of_pair == patch]
         if len(around):
             labels[patches == patch] = np.bincount(around).argmax()
             changed = True

@@ -36,7 +36,7 @@ def remesh(
         close_holes: close holes of up to 80 edges; a garment's neck and sleeves are such holes.
 
     Returns:
-        The new mesh and which way it was made: "pymeshlab" or "libigl".
+        The new mesh and the method: "pymeshlab" or "libigl".
     """
     area = _area(mesh)
     # An equilateral triangle of edge e has the area √3/4 e².
@@ -66,38 +66,38 @@ def cluster(mesh: Mesh, about_faces: int) -> Mesh:
     means = sums / counts[:, None]
     distance = np.linalg.norm(mesh.vertices - means[inverse], axis=1)
     order = np.lexsort((distance, inverse))
-    kept = order[np.r_[0, np.cumsum(counts)[:-1]]]
+    rows = order[np.r_[0, np.cumsum(counts)[:-1]]]
     faces = inverse[mesh.faces]
     corners = np.sort(faces, axis=1)
     faces = faces[(corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2])]
     faces = faces[np.unique(np.sort(faces, axis=1), axis=0, return_index=True)[1]]
     return Mesh(
-        mesh.vertices[kept],
+        mesh.vertices[rows],
         faces,
-        None if mesh.colors is None else mesh.colors[kept],
-        None if mesh.labels is None else mesh.labels[kept],
+        None if mesh.colors is None else mesh.colors[rows],
+        None if mesh.labels is None else mesh.labels[rows],
     )
 
 
-def _make(mesh: Mesh, task: str, amount: float, faces_wanted: int, time_limit: float) -> tuple[Mesh, str]:
+def _make(mesh: Mesh, task: str, amount: float, target_faces: int, time_limit: float) -> tuple[Mesh, str]:
     result = _in_child(mesh, task, amount, time_limit)
-    way = "pymeshlab"
+    method = "pymeshlab"
     if result is None:
-        result, way = _with_libigl(mesh, faces_wanted), "libigl"
-    return _carry_over(mesh, *result), way
+        result, method = _with_libigl(mesh, target_faces), "libigl"
+    return _carry_over(mesh, *result), method
 
 
 def _in_child(mesh: Mesh, task: str, amount: float, time_limit: float) -> tuple[Doubles, NDArray] | None:
-    """Vertices and faces made by the child, or None when it failed in any way."""
+    """Vertices and faces from the child process, or None when it failed for any reason."""
     with tempfile.TemporaryDirectory(prefix="gw-remesh-") as folder:
-        given, made = Path(folder) / "given.npz", Path(folder) / "made.npz"
-        np.savez(given, vertices=mesh.vertices.astype(np.float64), faces=mesh.faces)
-        command = [sys.executable, "-m", __name__, task, repr(float(amount)), str(given), str(made)]
+        source, result_file = Path(folder) / "given.npz", Path(folder) / "made.npz"
+        np.savez(source, vertices=mesh.vertices.astype(np.float64), faces=mesh.faces)
+        command = [sys.executable, "-m", __name__, task, repr(float(amount)), str(source), str(result_file)]
         try:
             subprocess.run(
                 command, timeout=time_limit, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
             )
-            with np.load(made, allow_pickle=False) as arrays:
+            with np.load(result_file, allow_pickle=False) as arrays:
                 vertices, faces = arrays["vertices"], arrays["faces"]
         except (subprocess.SubprocessError, OSError, ValueError, KeyError):
             return None
@@ -105,17 +105,17 @@ def _in_child(mesh: Mesh, task: str, amount: float, time_limit: float) -> tuple[
     return (vertices, faces) if usable else None
 
 
-def _with_libigl(mesh: Mesh, faces_wanted: int) -> tuple[Doubles, NDArray]:
+def _with_libigl(mesh: Mesh, target_faces: int) -> tuple[Doubles, NDArray]:
     """Edge collapse of the largest part; the mesh as it is where it cannot be collapsed."""
     import igl
 
     part = components(mesh.faces, len(mesh.vertices))
     largest = np.bincount(part[mesh.faces[:, 0]]).argmax()
-    faces, kept = keep_faces(mesh.faces, part[mesh.faces[:, 0]] == largest, len(mesh.vertices))
-    vertices = mesh.vertices[kept].astype(np.float64)
-    if len(faces) <= faces_wanted:
+    faces, rows = keep_faces(mesh.faces, part[mesh.faces[:, 0]] == largest, len(mesh.vertices))
+    vertices = mesh.vertices[rows].astype(np.float64)
+    if len(faces) <= target_faces:
         return vertices, faces
-    less, fewer, _, _ = igl.decimate(np.asfortranarray(vertices), np.asfortranarray(faces), faces_wanted)
+    less, fewer, _, _ = igl.decimate(np.asfortranarray(vertices), np.asfortranarray(faces), target_faces)
     return (less, fewer) if len(fewer) else (vertices, faces)
 
 
@@ -137,11 +137,11 @@ def _area(mesh: Mesh) -> float:
     return float(np.linalg.norm(normals, axis=1).sum() / 2)
 
 
-def _child(task: str, amount: str, given: str, made: str) -> None:
+def _child(task: str, amount: str, source: str, result_file: str) -> None:
     """What the child does."""
     import pymeshlab
 
-    with np.load(given, allow_pickle=False) as arrays:
+    with np.load(source, allow_pickle=False) as arrays:
         vertices, faces = arrays["vertices"], arrays["faces"]
     work = pymeshlab.MeshSet()
     work.add_mesh(pymeshlab.Mesh(vertices, faces))
@@ -160,7 +160,7 @@ def _child(task: str, amount: str, given: str, made: str) -> None:
         )
     work.meshing_remove_unreferenced_vertices()
     result = work.current_mesh()
-    np.savez(made, vertices=result.vertex_matrix(), faces=result.face_matrix().astype(np.int32))
+    np.savez(result_file, vertices=result.vertex_matrix(), faces=result.face_matrix().astype(np.int32))
 
 
 if __name__ == "__main__":

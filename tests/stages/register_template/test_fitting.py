@@ -68,11 +68,11 @@ def test_rows_are_finite_differences() -> None:
     gradients, joints = random.normal(size=(40, 3)), np.array([0, 3, 9, 13, 16, 18, 20, 25, 37])
     active = ActiveParameters(joints, np.arange(10))
     rows = bones_of(body, state).jacobian(points, gradients, joints)
-    here, step = bones_of(body, state).place(points), 1e-6
+    here, step = bones_of(body, state).positions(points), 1e-6
     for column in range(rows.shape[1]):
         change = np.zeros(rows.shape[1])
         change[column] = step
-        moved = bones_of(body, _moved(state, change, active)).place(points)
+        moved = bones_of(body, _moved(state, change, active)).positions(points)
         np.testing.assert_allclose(
             ((moved - here) * gradients).sum(axis=1) / step, rows[:, column], atol=2e-5
         )

@@ -44,9 +44,9 @@ def standing(frame: int = 1) -> State:
 
 def targets_of(state: State) -> Targets:
     numbers, points, _ = landmark_points(BODY)
-    places = np.full((33, 3), np.nan)
-    places[numbers] = bones_of(BODY, state).place(points)
-    return Targets(places)
+    positions = np.full((33, 3), np.nan)
+    positions[numbers] = bones_of(BODY, state).positions(points)
+    return Targets(positions)
 
 
 def take() -> Take:

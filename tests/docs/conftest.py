@@ -1,4 +1,4 @@
-"""The tiny subject and the bundles that the tests of the stages have."""
+"""The tiny subject and the bundles of the stage tests."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What README and docs show to be typed or written: every block of every page, and what kind it is."""
+"""The code blocks of README and docs: every block of every page, with its kind."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Block:
 
     @property
     def commands(self) -> list[str]:
-        """Lines without comments; continued ones joined."""
+        """Command lines without comments. Continued lines are joined."""
         lines = [
             re.sub(r"\s+#.*$", "", line).removeprefix("$ ").strip()
             for line in self.text.replace("\\\n", " ").split("\n")
@@ -37,7 +37,7 @@ class Block:
 
 
 def blocks(page: Path) -> list[Block]:
-    """Fenced and indented blocks of a page, in order of their kind of mark."""
+    """Blocks of a page: the fenced ones, then the indented ones."""
     text = page.read_text()
     marked = [(match[1], match[2]) for match in _FENCED.finditer(text)]
     marked += [("", match[1]) for match in _INDENTED.finditer(_FENCED.sub("", text))]
@@ -50,5 +50,5 @@ def _kind(language: str, content: str) -> str:
 
 
 def inline(page: Path) -> list[str]:
-    """Commands with options inside sentences: `gw train SUBJECT --minutes 10`."""
+    """Commands with options inside sentences, such as `gw train SUBJECT --minutes 10`."""
     return [text for text in re.findall(r"`(gw [^`]+)`", page.read_text()) if " -" in text]

@@ -1,7 +1,7 @@
-"""Every block of README and docs is run, page by page, in the order in which it stands there.
+"""Every block of README and docs runs, page by page, in the order of the page.
 
-A tiny subject made of tubes stands in for the reader's. What takes long, or needs a whole chain, is asked
-for its plan (`--dry-run`) here, and run for real by the long version, on a synthetic person.
+A tiny subject made of tubes replaces the reader's. Commands that take long, or need the whole pipeline, run
+with `--dry-run` here. The long version runs them on a synthetic person.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from tests.docs.world import SMALL, furnish, name_of, parts, run
 from tests.shared.outfit.wardrobe import motion
 
 DOCS = REPOSITORY / "docs"
-# Run elsewhere: by which test.
+# Tested elsewhere: name of the program to the test.
 ELSEWHERE = {
     "make": "each of its targets is a line of .ci/run, or one `gw` call",
     "python": "tests/benchmarks has a test of every benchmark",
@@ -32,7 +32,7 @@ ELSEWHERE = {
     "snakemake": "tests/stages/workflows/test_snakefile.py plans and runs the emitted file",
 }
 PLANNED = ("train", "bench curves", "bench tradeoff", "view")  # --dry-run here
-# Not on tubes: they need the artifacts of every stage, or the true meshes of a simulated capture.
+# These need the artifacts of every stage, or the true meshes of a simulated capture.
 WHOLE_CHAIN = (
     "register-template", "label", "canonicalize", "segment-layers", "bake-maps", "fit-cloth", "--true-meshes",
 )  # fmt: skip
@@ -48,13 +48,13 @@ SHORT = {
     "bench tradeoff": "--preset tiny --minutes 0.1 --pitches 25 --size 32",
     "view": "--dry-run",  # serves until it is interrupted: tests/stages/view opens it in a browser
 }
-DRAWN = {("README.md", "bibtex"), ("architecture.md", "mermaid")}  # neither typed nor read by gw
+DRAWN = {("README.md", "bibtex"), ("architecture.md", "mermaid")}  # not input of gw
 TAKES = ("train", "held_out")  # of a synthetic person
 SHELL = [(page, block) for page in PAGES for block in blocks(page) if block.kind == "shell"]
 
 
 def lines(page: Path) -> list[str]:
-    """Command lines of a page that are run here."""
+    """Command lines of a page that run in this test."""
     shown = [line for own, block in SHELL if own == page for line in block.commands]
     return [line for line in shown if line.split()[0] not in ELSEWHERE]
 
@@ -93,7 +93,7 @@ def test_the_commands_run(
 @pytest.mark.long
 @pytest.mark.timeout(3600)
 def test_the_commands_run_on_a_whole_chain(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every page again, nothing planned only, on a synthetic person; README's chain makes that person."""
+    """Every page, without dry runs, on a synthetic person that the README's commands make."""
     monkeypatch.chdir(tmp_path)
     run(["synth", "people", "--preset", "tiny"])
     shutil.copytree("people/subject_1", "CAPTURE")
@@ -123,7 +123,7 @@ def _in_full(page: Path, folder: Path) -> None:
                 word.replace("Sequence1=", "train=").replace("Sequence2=", "held_out=") for word in command
             ]
             more = {**SMALL, **SHORT}.get(name_of(words), "").split()
-            # How fast this machine plays, and how long a whole preset takes, is not this test's business.
+            # This test does not depend on the frame rate of the machine or the time of a whole preset.
             more += ["--fps", "0.1"] if {"--tradeoff", "--fps"} <= set(words) else []
             more += ["--also", "tiny:0.1"] if "--also" in words else []
             more += ["--frames", ""] if "--cameras" in words and name_of(words) == "render" else []  # its own
@@ -160,7 +160,7 @@ def test_the_native_capture_and_strokes_that_are_shown_are_read(tmp_path: Path) 
 
 
 def test_the_files_that_are_shown_are_those_of_a_capture(dressed_subject: Path) -> None:
-    """What is not marked as optional is there, and whatever is there is shown."""
+    """Files that are not optional exist, and every file that exists is on the page."""
     (shown,) = [block for block in blocks(DOCS / "formats.md") if block.kind == ""]
     listed: dict[str, bool] = {}
     below = ""

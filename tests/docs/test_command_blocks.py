@@ -1,4 +1,4 @@
-"""Every command that README and docs show is understood today, with every option that it is given."""
+"""Every command in README and docs exists, with every option that it has there."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from typer._click.exceptions import BadOptionUsage, MissingParameter
 from gw_cli.app import app
 from tests.docs.pages import PAGES, REPOSITORY, blocks, inline
 
-# What the documentation writes where a user puts numbers or paths.
+# Placeholders of the documentation, and values that replace them.
 STANDS_FOR = {
     "N": "1",
     "I/N": "1/2",
@@ -27,7 +27,7 @@ STANDS_FOR = {
 }
 
 
-BENCHMARK = "tests.benchmarks.NAME"  # stands for any of them
+BENCHMARK = "tests.benchmarks.NAME"  # placeholder for any benchmark
 LINES = [
     pytest.param(line, whole, id=f"{page.name}: {line[:60]}")
     for page in PAGES
@@ -40,7 +40,7 @@ LINES = [
 
 
 def understood(line: str, whole: bool = True) -> None:
-    """Raise, or return: the command exists, and every option takes what it is given."""
+    """Raise unless the command exists and every option accepts its value."""
     for part in re.split(r"\s*(?:&&|;|\|)\s*", line):
         words = [word for word in shlex.split(part) if not re.fullmatch(r"[A-Z_]+=.*", word)]
         program = next((word for word in ("gw", "gw_cli") if word in words[:6]), None)
@@ -70,7 +70,7 @@ def understood_by(words: list[str], whole: bool, program: typer.Typer) -> None:
     if "-h" not in arguments and "--help" not in arguments:
         try:
             command.make_context(command.name, arguments)
-        except (MissingParameter, BadOptionUsage):  # a sentence may leave out what it does not speak of
+        except (MissingParameter, BadOptionUsage):  # a sentence may leave out arguments
             assert not whole
 
 

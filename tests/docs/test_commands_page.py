@@ -1,4 +1,4 @@
-"""The page of commands is that of today's commands."""
+"""The page of commands agrees with the commands."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def test_the_page_is_up_to_date() -> None:
 
 
 def test_every_command_and_option_teaches() -> None:
-    """No section without a sentence, no option without help."""
+    """Every section has a sentence, and every option has help."""
     for section in page().split("\n## ")[1:]:
         lines = section.split("\n")
         assert len(lines[4]) > 20, lines[0]

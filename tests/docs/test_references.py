@@ -1,4 +1,4 @@
-"""Every file, function and heading that README and docs name is there."""
+"""Every file, function and heading that README and docs name exists."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FILES = {
     for path in (REPOSITORY / folder).rglob("*")
     if path.is_file() and "__pycache__" not in path.parts
 }
-# Endings of files that users have, not of what programs are made of.
+# Suffixes of data files, which are not source files.
 USERS = (
     "json",
     "jsonl",
@@ -38,7 +38,7 @@ USERS = (
     "html",
     "pkl",
 )
-# Of other programs, and where a letter stands for a number.
+# Names of other programs, and names with a placeholder.
 FOREIGN = ("http.server", "vX.Y.Z", "features.N.weight", "features.N.bias")
 
 
@@ -48,7 +48,7 @@ def prose(page: Path) -> str:
 
 
 def marked(page: Path) -> list[str]:
-    """What stands between backticks in sentences and tables."""
+    """Text between backticks in sentences and tables."""
     return re.findall(r"`([^`\n]+)`", prose(page))
 
 
@@ -61,13 +61,13 @@ def alternatives(path: str) -> Iterator[str]:
 
 
 def is_there(path: str) -> bool:
-    """A path from the repository's root, or the end of one that is ours."""
+    """Whether a path exists from the root of the repository, or is the end of a path in it."""
     path = path.rstrip("/*").rstrip("/")
     return (REPOSITORY / path).exists() or any(name.endswith(f"/{path}") for name in FILES)
 
 
 def defined(module: str, name: str) -> bool:
-    """Whether some module of that (last) name defines a function, class or constant of that name."""
+    """Whether a module of that (last) name defines a function, class or constant of that name."""
     for known, path in FILES.items():
         if known.endswith(f"/{module}.py"):
             for node in ast.walk(ast.parse(path.read_text())):
@@ -109,7 +109,7 @@ def test_a_path_is_there(page: str, path: str) -> None:
 
 
 def importable(name: str) -> bool:
-    """Whether a full name leads to a module, or to something in one."""
+    """Whether a full name is a module, or a name in a module."""
     parts = name.split(".")
     for count in range(len(parts), 0, -1):
         try:
@@ -121,7 +121,7 @@ def importable(name: str) -> bool:
 
 
 def is_setting(name: str) -> bool:
-    """Whether a name leads to a field of the training's configuration."""
+    """Whether a name is a field of the training configuration."""
     try:
         operator.attrgetter(name)(PRESETS["draft"])
     except AttributeError:
@@ -131,7 +131,7 @@ def is_setting(name: str) -> bool:
 
 @pytest.mark.parametrize(("page", "name"), sorted(set(dotted_named())))
 def test_a_name_is_there(page: str, name: str) -> None:
-    """Full names are imported; `module.function` is looked for in every module of that name."""
+    """Full names are imported. `module.function` is searched in every module of that name."""
     module, _, last = name.rpartition(".")
     found = importable(name) if name.startswith("stages.") else is_setting(name) or defined(module, last)
     assert found, f"{page} names {name}"
@@ -147,7 +147,7 @@ def test_what_is_gone_is_missed() -> None:
 
 
 def heading_anchors(page: Path) -> set[str]:
-    """Anchors that a page's headings get: lower case, spaces to dashes, the rest left out."""
+    """Anchors of the headings of a page: lower case, dashes for spaces, no other characters."""
     return {
         re.sub(r"[^\w -]", "", title.strip().lower()).replace(" ", "-")
         for title in re.findall(r"^#+ (.+)$", page.read_text(), re.MULTILINE)
@@ -167,7 +167,7 @@ def test_links_lead_somewhere(page: Path) -> None:
 
 
 def test_every_page_can_be_found_from_the_readme() -> None:
-    """By following links from page to page."""
+    """Every page is reachable by links from the README."""
     reached: set[Path] = set()
     following = [REPOSITORY / "README.md"]
     while following:
@@ -180,7 +180,7 @@ def test_every_page_can_be_found_from_the_readme() -> None:
 
 
 def test_troubleshooting_knows_what_the_program_says() -> None:
-    """Messages that are quoted stand in the sources, but for capitals."""
+    """Quoted messages occur in the sources, ignoring case."""
     programs = [path for name, path in FILES.items() if re.match(r"(stages|gw_cli)/.*\.py$", name)]
     sources = re.sub(r'"\s*f?"', "", " ".join(path.read_text() for path in programs)).lower()
     table = (REPOSITORY / "docs/troubleshooting.md").read_text()

@@ -1,4 +1,4 @@
-"""A folder in which everything stands that the documentation's commands name, and how they are run there."""
+"""A folder with all files that the commands of the documentation name, and a function that runs them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from tests.shared.poses.test_bvh import write as write_bvh
 SUBJECTS = ("SUBJECT", "SUBJECT_A", "SUBJECT_B", "anna")
 BUNDLES = {"body": ("body", "anna"), "lower": ("skirt",), "upper": ("shirt",)}
 MOTIONS = ("motion", "walk", "dance", "run", "fit")
-# Smaller than anybody would want it; the last value of an option is the one that counts.
+# Options that make commands small. The last value of an option counts.
 SMALL = {
     "export-garment": "--preset tiny",
     "tryon": "--preset tiny --frames 0:2 --width 32 --height 48",
@@ -36,10 +36,10 @@ SMALL = {
 
 
 def furnish(folder: Path, subject: Path, capture: Path, bundles: Path, poses: Poses) -> None:
-    """Give everything the names that the documentation has for it.
+    """Copy the inputs to the names that the documentation uses.
 
     Arguments:
-        subject: a trained one. capture: its. bundles: folder of its body.gwg, lower.gwg and upper.gwg.
+        subject: a trained subject. capture: its capture. bundles: folder of its body.gwg, lower.gwg and upper.gwg.
     """
     shutil.copytree(capture, folder / "CAPTURE")
     for name in SUBJECTS:
@@ -66,7 +66,7 @@ def furnish(folder: Path, subject: Path, capture: Path, bundles: Path, poses: Po
 
 
 def _measured(folder: Path, bundles: Path) -> None:
-    """A folder as `gw bench tradeoff` leaves it, with one operating point."""
+    """A result folder of `gw bench tradeoff` with one operating point."""
     scores = {"psnr_foreground": 17.0, "ssim_foreground": 0.8, "miou": 0.9, "sharpness": 0.5}
     point = OperatingPoint(
         name="one", pitch=6.5, decoder="as trained", gaussians=900, **scores, novel_pose=scores,
@@ -77,7 +77,7 @@ def _measured(folder: Path, bundles: Path) -> None:
 
 
 def parts(line: str, folder: Path) -> list[list[str]]:
-    """Words after `gw` of every command in a line, with what stands for something put in its place."""
+    """Words after `gw` of every command in a line, with placeholders replaced."""
     found = []
     for part in line.split("&&"):
         words = shlex.split(part)
@@ -87,7 +87,7 @@ def parts(line: str, folder: Path) -> list[list[str]]:
 
 
 def _in_place(word: str, command: str, folder: Path) -> str:
-    """OUT is a folder of the command's own; a key of a training is one of those that are there."""
+    """Replace OUT by a folder per command, and the key of a training by an existing key."""
     if word == "OUT":
         return f"OUT-{command}"
     if re.fullmatch(r"[0-9a-f]{6}", word):
@@ -101,6 +101,6 @@ def name_of(words: list[str]) -> str:
 
 
 def run(words: list[str]) -> None:
-    """Run a command here, in this process; a failure shows what it said."""
+    """Run a command in this process. A failure shows its output."""
     done = CliRunner().invoke(app, words)
     assert done.exit_code == 0, f"gw {shlex.join(words)}: {done.exit_code} {done.stderr} {done.exception!r}"

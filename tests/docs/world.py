@@ -39,7 +39,7 @@ def furnish(folder: Path, subject: Path, capture: Path, bundles: Path, poses: Po
     """Copy the inputs to the names that the documentation uses.
 
     Arguments:
-        subject: a trained subject. capture: its capture. bundles: folder of its body.gwg, lower.gwg and upper.gwg.
+        subject: a trained subject. capture: its capture. bundles: folder with body.gwg, lower.gwg, upper.gwg.
     """
     shutil.copytree(capture, folder / "CAPTURE")
     for name in SUBJECTS:

@@ -11,7 +11,7 @@ import typer
 from gw_cli.completion import subjects, trainings
 from gw_cli.config_options import config_options
 from gw_cli.console import Console, command
-from gw_cli.inputs import check_stages
+from gw_cli.inputs import check_stages, export_command
 from gw_cli.options import DryRun, Json, without_shard
 from stages.evaluate.config import PRESETS, EvaluateConfig, EvaluateInputs, check_inputs
 
@@ -88,13 +88,15 @@ def register(app: typer.Typer) -> None:
         check_inputs(inputs)
         if subject is not None:
             check_stages(subject, "train")
+        console.loading()
         from stages.evaluate import stage
 
         if dry_run:
             console.plan(stage.plan(inputs, output, config, perceptual_weights))
             return
         result = stage.run(inputs, output, config, console, perceptual_weights)
-        following = f"gw export-garment {subject} --layer lower -o lower.gwg" if subject else None
+        shown = {"path": result.path, **result.summary}
         if not result.complete:
-            following = f"{without_shard(sys.argv)}   (when all parts are done)"
-        console.result({"path": result.path, **result.summary}, next_command=following)
+            console.result(shown, without_shard(sys.argv), when="when all parts are done")
+            return
+        console.result(shown, export_command(subject) if subject else None)

@@ -42,10 +42,11 @@ def register(app: typer.Typer) -> None:
         if strokes is not None:
             config = replace(config, strokes=read_strokes(strokes))
 
+        console.loading()
         from stages.label import stage
 
         if dry_run:
             console.plan(stage.plan(subject, config))
             return
         result = stage.run(subject, config, console, force)
-        console.result(result.summary, next_command=f"gw canonicalize {subject}")
+        console.result(result.summary, next_command=("gw", "canonicalize", subject))

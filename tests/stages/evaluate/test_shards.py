@@ -106,7 +106,7 @@ def test_command(dressed_subject: Path, tmp_path: Path, monkeypatch: pytest.Monk
     words += ["--frame-step", "4", "--methods", "trained"]
     monkeypatch.setattr("sys.argv", ["gw", *words, "--shard=1/2"])
     done = CliRunner().invoke(app, [*words, "--shard", "1/2"])
-    assert done.exit_code == 0 and f"next: gw {' '.join(words)}   (when all" in done.stderr, done.stderr
+    assert done.exit_code == 0 and f"next: gw {' '.join(words)}   # when all" in done.stderr, done.stderr
     for more in ([], ["--dry-run"]):
         assert CliRunner().invoke(app, [*words, "--shard", "3/2", *more]).exit_code == 2
     with pytest.raises(UsageProblem, match="part of the work"):

@@ -99,10 +99,9 @@ def _readable(name: str, value: Any, verbose: bool) -> str:
         if len(value) > _LONGEST_LIST and not verbose:
             return f"{len(value)} entries (-v lists them)"
         if isinstance(value, Mapping):
-            shown = [(key, part) for key, part in value.items() if verbose or not _is_digest(part)]
-            return ", ".join(
-                f"{_label(str(key))} {_readable(str(key), part, verbose)}" for key, part in shown
-            )
+            shown = [(str(key), part) for key, part in value.items() if verbose or not _is_digest(part)]
+            unit = name if name in ("bytes", "seconds") else ""  # of every entry
+            return ", ".join(f"{_label(key)} {_readable(unit or key, part, verbose)}" for key, part in shown)
         return ", ".join(_readable("", part, verbose) for part in value)
     return str(value)
 

@@ -38,7 +38,7 @@ def test_what_was_made_comes_first_and_digests_need_verbose() -> None:
         "path": "out",
         "digest": DIGEST,
         "bytes": 2_500_000,
-        "seconds": 75.0,
+        "seconds": {"pose": 75.0, "film": 0.5},
         "rows": list(range(20)),
         "note": "",
     }
@@ -46,7 +46,7 @@ def test_what_was_made_comes_first_and_digests_need_verbose() -> None:
         "made: out",
         "gaussians: 31,204",
         "size: 2.5 MB",
-        "time: 1 min 15 s",
+        "time: pose 1 min 15 s, film 0.5 s",
         "rows: 20 entries (-v lists them)",
     ]
     everything = list(result_lines(result, verbose=True))

@@ -10,9 +10,8 @@ import torch
 from stages.shared.avatar.deform import Attributes
 from stages.shared.avatar.pose import pose_at
 from stages.shared.body import BodyModel, Poses
+from stages.shared.outfit.body_replacement import covered_texels, extrapolate_skin
 from stages.shared.outfit.layer import WornLayer
-from stages.shared.outfit.swap import covered_texels
-from stages.shared.outfit.uncovered_skin import extrapolate_skin
 
 
 @torch.no_grad()

@@ -149,12 +149,6 @@ def _shares(
     texel = float(area.median().sqrt()) * float(camera.intrinsics[0, 0]) / float(depth.median())
     scale = min(1.0, _PIXELS_PER_TEXEL / max(texel, 1e-9))
     small = camera.scaled(scale) if scale < 1 else camera
-    view = torch.from_numpy(small.camera_from_world).to(composite.means)
-    intrinsics = torch.from_numpy(small.intrinsics).to(composite.means)
-    painted = contributions(
-        composite.means, None, None, composite.opacities, view, intrinsics, small.width, small.height,
-        covars=composite.covariances,
-    )  # fmt: skip
     pixels = area * (float(small.intrinsics[0, 0]) / depth).square()
     counts = [len(layer.means) for layer in posed.values()]
-    return dict(zip(posed, (painted / pixels).split(counts), strict=True))
+    return dict(zip(posed, (contributions(composite, small) / pixels).split(counts), strict=True))

@@ -6,7 +6,7 @@ the blended matrix T itself, which need not be a rotation: the Gaussian is shear
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -14,7 +14,7 @@ from torch import Tensor
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.avatar.used_joints import used
 from stages.shared.finite import finite, require_finite
-from stages.shared.quaternions import matrices_from_quaternions
+from stages.shared.quaternions import matrices_from_quaternions, slerp
 
 
 @dataclass(frozen=True)
@@ -34,6 +34,46 @@ class Attributes:
     scales: Tensor
     opacities: Tensor
     colors: Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class Replacement:
+    """Attributes that take the place of a layer's own, texel by texel.
+
+    Attributes:
+        weights: (N,) from 0 (the layer's own) to 1 (replaced).
+        offsets: (N, 3) m, canonical. quaternions: (N, 4) wxyz, unit.
+        looks: (N, 7) colour 3 (sRGB), scales 3 (m), opacity 1; None where these stay.
+        garment: name of the garment under which it applies; "" for none.
+    """
+
+    weights: Tensor
+    offsets: Tensor
+    quaternions: Tensor
+    looks: Tensor | None = None
+    garment: str = ""
+
+    @property
+    def count(self) -> int:
+        """Texels that change."""
+        return int((self.weights > 0).sum())
+
+    def applied(self, attributes: Attributes) -> Attributes:
+        """The attributes of the layer with this replacement."""
+        weights = self.weights[:, None]
+        changed = replace(
+            attributes,
+            offsets=torch.lerp(attributes.offsets, self.offsets, weights),
+            quaternions=slerp(attributes.quaternions, self.quaternions, weights),
+        )
+        if self.looks is None:
+            return changed
+        return replace(
+            changed,
+            colors=torch.lerp(attributes.colors, self.looks[:, :3], weights),
+            scales=torch.lerp(attributes.scales, self.looks[:, 3:6], weights),
+            opacities=torch.lerp(attributes.opacities, self.looks[:, 6], self.weights),
+        )
 
 
 @dataclass(frozen=True)

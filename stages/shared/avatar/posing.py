@@ -23,7 +23,7 @@ from stages.shared.avatar.decoders.texel_attributes import (
     MIN_SCALE,
     group_channels,
 )
-from stages.shared.avatar.deform import shaped_positions
+from stages.shared.avatar.deform import Replacement, shaped_positions
 from stages.shared.avatar.pose import FramePose
 from stages.shared.avatar.posing_kernel import BLOCK, carry_texels, pose_texels
 from stages.shared.splat.kernels.threads import run_parallel
@@ -54,24 +54,12 @@ class PosedBuffers:
     painted: list[bool] = field(default_factory=list)
 
 
-@dataclass(frozen=True, eq=False)
-class Replacement:
-    """What takes the place of a texel's own: weights (N,), offsets (N, 3) m, quaternions (N, 4), and looks
-    (N, 7) or None: colour 3 (sRGB), scales 3 (m), opacity 1. A texel of weight 0 keeps its own.
-    """
-
-    weights: Floats
-    offsets: Floats
-    quaternions: Floats
-    looks: Floats | None = None
-
-
 class PosedLayer:
     """A layer prepared for one body shape.
 
     Arguments:
         model: of the layer. betas: (10,) shape of the wearer.
-        replacements: swaps beneath garments, applied in this order.
+        replacements: applied in this order.
         kept: (N,) texels that are posed, None for all; buffers then hold these alone, in order.
         residual: (N, 14) in place of the model's own in all poses; None for the model's.
     """
@@ -231,10 +219,10 @@ def _stacked(
         np.zeros((len(replacements), count, *shape), np.float32) for shape in ((), (3,), (4,), (7,))
     )
     for row, replacement in enumerate(replacements):
-        weights[row], offsets[row] = replacement.weights, replacement.offsets
-        quaternions[row] = replacement.quaternions
+        weights[row], offsets[row] = replacement.weights.numpy(), replacement.offsets.numpy()
+        quaternions[row] = replacement.quaternions.numpy()
         if replacement.looks is not None:
-            looks[row] = replacement.looks
+            looks[row] = replacement.looks.numpy()
     paints = np.array([r.looks is not None for r in replacements], bool)
     if kept is not None:
         weights, offsets, quaternions, looks = (

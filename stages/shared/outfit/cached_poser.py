@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from stages.shared.avatar.pose import FramePose, pose_at, recent_motions
-from stages.shared.avatar.posing import PosedBuffers, PosedLayer, Replacement
+from stages.shared.avatar.posing import PosedBuffers, PosedLayer
 from stages.shared.body import Poses
 from stages.shared.layers import BODY
 from stages.shared.outfit.outfit import Outfit
@@ -99,7 +99,7 @@ def _prepared(outfit: Outfit, hidden: NDArray[np.bool_] | None) -> list[PosedLay
     """Every layer prepared for the wearer's shape."""
     betas, shown = torch.from_numpy(outfit.betas), None if hidden is None else ~hidden
     return [
-        PosedLayer(layer.model, betas, _replacements(outfit), shown)
+        PosedLayer(layer.model, betas, outfit.replacements, shown)
         if layer.name == BODY
         else PosedLayer(layer.model, betas, residual=outfit.driver(layer).residual)
         for layer in outfit.layers
@@ -126,16 +126,3 @@ def _same(before: tuple[Tensor, ...] | None, now: tuple[Tensor, ...]) -> bool:
         and len(before) == len(now)
         and all(torch.equal(one, other) for one, other in zip(before, now, strict=True))
     )
-
-
-def _replacements(outfit: Outfit) -> tuple[Replacement, ...]:
-    """What an outfit replaces of the body: first uncovered skin, then the body under garments."""
-    replacements = []
-    if (skin := outfit.uncovered_skin) is not None:
-        looks = torch.cat((skin.colors, skin.scales, skin.opacities[:, None]), dim=1)
-        skin_arrays = (skin.weights[:, 0], skin.offsets, skin.quaternions, looks)
-        replacements.append(Replacement(*(array.numpy() for array in skin_arrays)))
-    for swap in outfit.swaps:
-        arrays = (swap.weights[:, 0], swap.offsets, swap.quaternions)
-        replacements.append(Replacement(*(array.numpy() for array in arrays)))
-    return tuple(replacements)

@@ -11,17 +11,16 @@ from numpy.typing import NDArray
 
 from stages.shared.artifacts.bundle import Bundle
 from stages.shared.avatar.compose import compose, relabelled
-from stages.shared.avatar.deform import PosedGaussians, pose_layer
+from stages.shared.avatar.deform import PosedGaussians, Replacement, pose_layer
 from stages.shared.avatar.pose import pose_at, recent_motion
 from stages.shared.body import BodyModel, Poses
 from stages.shared.errors import BadData, UsageProblem
 from stages.shared.layers import BODY, LAYERS
+from stages.shared.outfit.body_replacement import plan_swap, plan_uncovered_skin
 from stages.shared.outfit.collision_correction import CollisionCorrection, plan_correction
 from stages.shared.outfit.driver import LEARNED, GarmentDriver, choose_drivers
 from stages.shared.outfit.layer import WornLayer, layer_of_bundle
 from stages.shared.outfit.retarget import can_retarget, retarget_garment
-from stages.shared.outfit.swap import Swap, apply_swaps, plan_swap
-from stages.shared.outfit.uncovered_skin import UncoveredSkin, plan_uncovered_skin, replace_uncovered_skin
 from stages.shared.splat.gaussians import Gaussians
 
 _MOMENTS = 64
@@ -35,18 +34,18 @@ class Outfit:
         body_model: bones and their weights on the shape.
         betas: (10,) f32 shape of the wearer, β*.
         layers: inner to outer, body first.
-        swaps: changes of the body's form beneath garments of other people.
-        pushes: how garments of other people give way to the body.
-        uncovered_skin: of skin that clothes covered in training and that is bare now.
+        swaps: replacements of the body's form under garments of other people, inner garments first.
+        corrections: how garments of other people give way to the body.
+        uncovered_skin: replacement of skin that clothes covered in training and that is bare now.
         drivers: of layers whose texels are not moved by their decoder and the bones.
     """
 
     body_model: BodyModel
     betas: NDArray[np.float32]
     layers: tuple[WornLayer, ...]
-    swaps: tuple[Swap, ...] = ()
+    swaps: tuple[Replacement, ...] = ()
     corrections: tuple[CollisionCorrection, ...] = ()
-    uncovered_skin: UncoveredSkin | None = None
+    uncovered_skin: Replacement | None = None
     drivers: Mapping[str, GarmentDriver] = field(default_factory=dict)
 
     def driven(self, drive: str, trained_poses: bool = False) -> Outfit:
@@ -73,6 +72,12 @@ class Outfit:
         return self.drivers.get(layer.name, LEARNED)
 
     @property
+    def replacements(self) -> tuple[Replacement, ...]:
+        """What the outfit replaces of the body: first uncovered skin, then the form under garments."""
+        skin = self.uncovered_skin
+        return self.swaps if skin is None else (skin, *self.swaps)
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Names of the layers, inner to outer."""
         return tuple(layer.name for layer in self.layers)
@@ -89,9 +94,9 @@ class Outfit:
         posed: dict[str, PosedGaussians] = {}
         # Simulated garments collide with the body themselves.
         corrections = {
-            push.garment: push
-            for push in self.corrections
-            if self.drivers.get(push.garment, LEARNED).kind != "simulated"
+            correction.garment: correction
+            for correction in self.corrections
+            if self.drivers.get(correction.garment, LEARNED).kind != "simulated"
         }
         for layer in self.layers:
             driver = self.driver(layer)
@@ -102,9 +107,8 @@ class Outfit:
                 residual = layer.model.residual(pose.local_transforms, motion=motion)
             attributes = layer.model.attributes(residual)
             if layer.name == BODY:
-                attributes = apply_swaps(
-                    replace_uncovered_skin(attributes, self.uncovered_skin), list(self.swaps)
-                )
+                for replacement in self.replacements:
+                    attributes = replacement.applied(attributes)
             matrices = driver.matrices(poses, frame)
             posed[layer.name] = pose_layer(layer.maps, attributes, pose.transforms, pose.betas, matrices)
             if layer.name in corrections:
@@ -155,7 +159,7 @@ def outfit_of_bundles(
     Arguments:
         named: (name for messages, bundle), in any order: the layers decide which lies over which.
         betas: (10,) shape of the wearer; the body bundle's own when None.
-        swap: take the form of garment sources beneath their garments.
+        swap: under garments, take the form of the body of the garment's source.
         push: let garments of other people give way to the body.
         restore: give skin that is bare now, and was covered when it was learned, the look of the skin around.
 

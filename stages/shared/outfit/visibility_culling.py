@@ -26,7 +26,7 @@ from stages.shared.outfit.cached_poser import CachedPoser
 from stages.shared.outfit.coverage import covered_weights, same_grid
 from stages.shared.outfit.outfit import Outfit
 from stages.shared.outfit.viewpoints import look_at_camera
-from stages.shared.splat.api import contributions as splat_contributions
+from stages.shared.splat.api import contributions
 from stages.shared.splat.gaussians import Gaussians
 
 LEAST_CONTRIBUTION = 0.0013  # share of the unoccluded contribution: a third of one of 255 levels
@@ -49,19 +49,20 @@ def find_hidden_texels(outfit: Outfit, poses: Poses, rows: Sequence[int]) -> NDA
     covered = fully_covered(outfit)
     if not covered.any() or not len(rows):
         return None
-    player, seen = CachedPoser(outfit), np.zeros(len(covered), np.float32)
-    if player.plain:
+    poser, largest = CachedPoser(outfit), np.zeros(len(covered), np.float32)
+    if poser.plain:
         return None
-    some = np.unique(np.linspace(0, len(rows) - 1, MOST_POSES).round().astype(int))
-    outfit.prepare(poses, sorted(rows[index] for index in some))
-    for row in (rows[index] for index in some):
-        composite = player.composite(poses, row)
+    picked = np.unique(np.linspace(0, len(rows) - 1, MOST_POSES).round().astype(int))
+    sampled = [rows[index] for index in picked]
+    outfit.prepare(poses, sorted(sampled))
+    for row in sampled:
+        composite = poser.composite(poses, row)
         for camera in _cameras(outfit, poses, row):
             share = contributions(composite, camera) / footprints(composite, camera)
-            np.maximum(seen, share[: len(covered)].numpy(), out=seen)
+            np.maximum(largest, share[: len(covered)].numpy(), out=largest)
     maps = outfit.layers[0].maps
     shown = dilate(
-        ~covered | (seen >= LEAST_CONTRIBUTION), maps.neighbours.numpy(), round(MARGIN / maps.pitch)
+        ~covered | (largest >= LEAST_CONTRIBUTION), maps.neighbours.numpy(), round(MARGIN / maps.pitch)
     )
     return None if shown.all() else ~shown
 
@@ -75,14 +76,6 @@ def fully_covered(outfit: Outfit) -> NDArray[np.bool_]:
             if same_grid(body, layer.maps):
                 covered |= covered_weights(body, layer.maps) >= 1
     return covered
-
-
-def contributions(composite: Gaussians, camera: Camera) -> Tensor:
-    """(N,) sum over pixels of the blending weight of every Gaussian in one picture."""
-    return splat_contributions(
-        composite.means, None, None, composite.opacities, *camera.tensors(), camera.width, camera.height,
-        covars=composite.covariances,
-    )  # fmt: skip
 
 
 def footprints(composite: Gaussians, camera: Camera) -> Tensor:

@@ -146,28 +146,19 @@ def render_gaussians(
     )
 
 
-def contributions(
-    means: Tensor,
-    quats: Tensor | None,
-    scales: Tensor | None,
-    opacities: Tensor,
-    viewmats: Tensor,
-    Ks: Tensor,
-    width: int,
-    height: int,
-    **options: Any,
-) -> Tensor:
-    """(N,) sum over pixels (and cameras) of each Gaussian's weight: 0 where it is hidden or out of sight.
+def contributions(gaussians: Gaussians, camera: Camera) -> Tensor:
+    """(N,) sum over pixels of each Gaussian's blending weight: 0 where it is hidden or out of sight.
 
-    For culling and debugging. Takes the options of `rasterize` that concern geometry. No gradient.
+    For culling and debugging. No gradient.
     """
     with torch.enable_grad():
         # A Gaussian's weights are what its colour is multiplied with: the gradient of the summed picture.
-        ones = torch.ones_like(opacities)[:, None].detach().requires_grad_()
-        turned = None if quats is None else quats.detach()
-        sizes = None if scales is None else scales.detach()
-        camera = (viewmats.detach(), Ks.detach(), width, height)
-        picture = rasterize(means.detach(), turned, sizes, opacities.detach(), ones, *camera, **options)
+        ones = torch.ones_like(gaussians.opacities)[:, None].detach().requires_grad_()
+        means, covars, opacities = (
+            tensor.detach() for tensor in (gaussians.means, gaussians.covariances, gaussians.opacities)
+        )
+        view = (*camera.tensors(means.device), camera.width, camera.height)
+        picture = rasterize(means, None, None, opacities, ones, *view, covars=covars)
         if not picture.features.requires_grad:  # nothing is in view
             return torch.zeros_like(opacities)
         (weights,) = torch.autograd.grad(picture.features.sum(), ones)

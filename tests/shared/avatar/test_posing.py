@@ -1,4 +1,4 @@
-"""The fused posing against the plain one: `attributes`, `apply_swaps` and `pose_layer`."""
+"""The fused posing against the plain one: `attributes`, `Replacement.applied` and `pose_layer`."""
 
 from __future__ import annotations
 
@@ -12,11 +12,9 @@ from stages.shared.avatar.config import ModelConfig
 from stages.shared.avatar.decoders.base import Decoder
 from stages.shared.avatar.decoders.blendshapes import BlendshapeDecoder, BlendshapeSizes
 from stages.shared.avatar.decoders.styleunet import StyleUNetDecoder
-from stages.shared.avatar.deform import pose_layer
+from stages.shared.avatar.deform import Replacement, pose_layer
 from stages.shared.avatar.pose import FramePose
-from stages.shared.avatar.posing import PosedBuffers, PosedLayer, Replacement
-from stages.shared.outfit.swap import Swap, apply_swaps
-from stages.shared.outfit.uncovered_skin import UncoveredSkin, replace_uncovered_skin
+from stages.shared.avatar.posing import PosedBuffers, PosedLayer
 from stages.shared.quaternions import matrices_from_quaternions
 from tests.shared.avatar.tubes import tube
 
@@ -68,34 +66,26 @@ def test_fused_posing_is_the_plain_one(kind: str, swaps: int) -> None:
     generator = torch.Generator().manual_seed(2)
     changes = []
     for _ in range(swaps):
-        weights = torch.rand(count, 1, generator=generator).round(decimals=1)
+        weights = torch.rand(count, generator=generator).round(decimals=1)
         offsets = 0.02 * torch.randn(count, 3, generator=generator)
         quaternions = torch.nn.functional.normalize(torch.randn(count, 4, generator=generator), dim=1)
-        changes.append(Swap("upper", weights, offsets, quaternions))
-    skin = None
+        changes.append(Replacement(weights, offsets, quaternions))
     if swaps:
-        weights = torch.rand(count, 1, generator=generator)
-        skin = UncoveredSkin(
-            weights,
-            0.01 * torch.randn(count, 3, generator=generator),
-            torch.rand(count, 3, generator=generator),
-            torch.nn.functional.normalize(torch.randn(count, 4, generator=generator), dim=1),
-            0.01 * torch.rand(count, 3, generator=generator),
+        looks = torch.rand(count, 7, generator=generator) * torch.tensor([1.0] * 3 + [0.01] * 3 + [1.0])
+        skin = Replacement(
             torch.rand(count, generator=generator),
+            0.01 * torch.randn(count, 3, generator=generator),
+            torch.nn.functional.normalize(torch.randn(count, 4, generator=generator), dim=1),
+            looks,
         )
+        changes.insert(0, skin)
     with torch.no_grad():
-        attributes = replace_uncovered_skin(model(pose), skin)
-        attributes = apply_swaps(attributes, changes)
+        attributes = model(pose)
+        for change in changes:
+            attributes = change.applied(attributes)
         plain = pose_layer(model.maps, attributes, world, BETAS)
         out = _buffers(count)
-        replaced = [
-            Replacement(c.weights[:, 0].numpy(), c.offsets.numpy(), c.quaternions.numpy()) for c in changes
-        ]
-        if skin is not None:
-            looks = torch.cat((skin.colors, skin.scales, skin.opacities[:, None]), dim=1).numpy()
-            form = (skin.offsets.numpy(), skin.quaternions.numpy())
-            replaced.insert(0, Replacement(skin.weights[:, 0].numpy(), *form, looks))
-        PosedLayer(model, BETAS, tuple(replaced)).pose(FramePose(world, pose, BETAS), out)
+        PosedLayer(model, BETAS, tuple(changes)).pose(FramePose(world, pose, BETAS), out)
     np.testing.assert_allclose(out.means, plain.means, atol=5e-6)
     # A slerp of nearly opposite quaternions is ill-conditioned; elsewhere covariances agree to rounding.
     np.testing.assert_allclose(out.covariances, plain.covariances, atol=2e-7)

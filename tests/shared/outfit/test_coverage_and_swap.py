@@ -10,9 +10,9 @@ import torch
 from scipy.spatial.transform import Rotation, Slerp
 
 from stages.shared.avatar.deform import Attributes
+from stages.shared.outfit.body_replacement import covered_texels, plan_swap
 from stages.shared.outfit.coverage import covered_weights
 from stages.shared.outfit.layer import BodyUnderGarment
-from stages.shared.outfit.swap import apply_swaps, covered_texels, plan_swap
 from stages.shared.quaternions import slerp
 from tests.shared.outfit.wardrobe import PITCH, worn
 
@@ -71,8 +71,8 @@ def test_swap_changes_offset_and_rotation_of_covered_texels_only() -> None:
     swap = plan_swap(BODY, replace(UPPER, beneath=_beneath(-0.2)), feather=0.08)
     assert swap is not None and swap.count > 0
     before = _attributes()
-    after = apply_swaps(before, [swap])
-    bare, deep = swap.weights[:, 0] == 0, swap.weights[:, 0] == 1
+    after = swap.applied(before)
+    bare, deep = swap.weights == 0, swap.weights == 1
     assert torch.equal(after.offsets[bare], before.offsets[bare])
     assert torch.allclose(after.quaternions[bare], before.quaternions[bare])
     assert torch.allclose(after.offsets[deep], torch.tensor(-0.2))
@@ -99,7 +99,7 @@ def test_texels_that_only_one_body_has_stay_as_they_are() -> None:
     assert swap is not None and whole is not None
     assert 0 < swap.count < whole.count
     carried = {tuple(texel) for texel in part.texels.tolist()}
-    changed = BODY.maps.texels[swap.weights[:, 0] > 0].tolist()
+    changed = BODY.maps.texels[swap.weights > 0].tolist()
     assert all(tuple(texel) in carried for texel in changed)
 
 

@@ -12,11 +12,11 @@ from torch.nn import functional
 from stages.shared.avatar.deform import Attributes, PosedGaussians, pose_layer
 from stages.shared.body import BodyModel, embedded_body
 from stages.shared.errors import BadData
+from stages.shared.outfit.body_replacement import extrapolate_skin, plan_uncovered_skin
 from stages.shared.outfit.collision_correction import CLEARANCE, plan_correction, smooth_field
 from stages.shared.outfit.layer import Skin, WornLayer
 from stages.shared.outfit.outfit import outfit_of_bundles
 from stages.shared.outfit.retarget import canonical_joints, retarget_garment
-from stages.shared.outfit.uncovered_skin import extrapolate_skin, plan_uncovered_skin, replace_uncovered_skin
 from stages.shared.quaternions import matrices_from_quaternions
 from stages.shared.splat.api import rasterize
 from tests.shared.outfit.wardrobe import bundle, motion, worn
@@ -84,7 +84,7 @@ def _wearer() -> WornLayer:
 def test_only_what_is_bare_now_is_restored() -> None:
     wearer = _wearer()
     naked, dressed = plan_uncovered_skin(wearer, []), plan_uncovered_skin(wearer, [UPPER])
-    assert naked is not None and torch.equal(naked.weights[:, 0], wearer.skin.covered)  # type: ignore[union-attr]
+    assert naked is not None and torch.equal(naked.weights, wearer.skin.covered)  # type: ignore[union-attr]
     # Beneath the same garment only its feathered rim is left.
     assert dressed is None or dressed.weights.sum() < 0.35 * naked.weights.sum()
     assert plan_uncovered_skin(BODY, []) is None
@@ -96,12 +96,11 @@ def test_only_what_is_bare_now_is_restored() -> None:
         torch.full((count,), 0.7),
         torch.zeros(count, 3),
     )
-    after = replace_uncovered_skin(before, naked)
-    bare = naked.weights[:, 0] == 1
+    after = naked.applied(before)
+    bare = naked.weights == 1
     assert torch.allclose(after.colors[bare], torch.tensor(0.25)) and (after.colors[~bare] == 0).all()
     assert torch.allclose(after.offsets[bare], torch.tensor(0.5))
     assert torch.equal(after.opacities[~bare], before.opacities[~bare])
-    assert replace_uncovered_skin(before, None) is before
 
 
 @pytest.mark.parametrize(
@@ -127,11 +126,11 @@ def test_bare_skin_has_no_gaps(side: tuple[float, float, float], before: float, 
     assert naked is not None
     naked = replace(naked, offsets=torch.zeros(count, 3))
     assert _least_alpha(wearer, shrunk, bare, side) < before
-    assert _least_alpha(wearer, replace_uncovered_skin(shrunk, naked), bare, side) > after
+    assert _least_alpha(wearer, naked.applied(shrunk), bare, side) > after
     # Discs lie in the surface, and none is longer than the limit.
     thin = matrices_from_quaternions(naked.quaternions)[:, :, 2]
     assert (thin * functional.normalize(wearer.maps.normals, dim=1)).sum(dim=1).min() > 0.999
-    assert naked.scales.max() <= 1.5 * wearer.maps.pitch + 1e-6
+    assert naked.looks[:, 3:6].max() <= 1.5 * wearer.maps.pitch + 1e-6
 
 
 def _least_alpha(

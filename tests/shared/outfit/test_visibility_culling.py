@@ -14,10 +14,11 @@ from stages.shared.outfit.cached_poser import CachedPoser
 from stages.shared.outfit.outfit import Outfit, outfit_of_bundles
 from stages.shared.outfit.penetration import PenetrationConfig
 from stages.shared.outfit.render_image import render_image
-from stages.shared.outfit.visibility_culling import contributions, dilate, find_hidden_texels, fully_covered
+from stages.shared.outfit.visibility_culling import dilate, find_hidden_texels, fully_covered
 from stages.shared.render_sequence import frames as sequence_frames
 from stages.shared.render_sequence.outputs import SequenceFrame, SequenceOutputs
 from stages.shared.report import SILENT
+from stages.shared.splat.api import contributions
 from tests.shared.avatar.test_blendshapes import CONFIG as BLENDSHAPES
 from tests.shared.outfit.wardrobe import bundle, cameras, motion, outfit, worn
 

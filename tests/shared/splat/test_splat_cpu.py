@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
+from stages.shared.capture.camera import Camera
 from stages.shared.splat import reference
-from stages.shared.splat.api import contributions, rasterize
+from stages.shared.splat.api import contributions, render_gaussians
+from stages.shared.splat.gaussians import Gaussians
 from stages.shared.splat.kernels import layout
 from tests.shared.splat.scenes import FIELDS, avatar_case, compare, random_case
 
@@ -166,17 +169,19 @@ def test_layers_equal_separate_renderings():
 def test_contributions_are_the_sums_of_weights():
     """Of two in line the far one shows what the near one lets through; one behind the camera nothing."""
     means = torch.tensor([[0.0, 0, 2], [0, 0, 4], [0, 0, -2]])
-    quats = torch.tensor([[1.0, 0, 0, 0]]).expand(3, 4)
-    scales = torch.tensor([[0.5], [1.0], [1.0]]).expand(3, 3)
-    k = torch.tensor([[40.0, 0, 16], [0, 40, 16], [0, 0, 1]])
-    camera = (torch.eye(4), k, 32, 32)
-    opacities = torch.tensor([0.6, 0.5, 0.9])
-    found = contributions(means, quats, scales, opacities, *camera)
-    near = contributions(means[:1], quats[:1], scales[:1], opacities[:1], *camera)
-    assert found[0] == pytest.approx(near[0].item(), rel=1e-6) and found[2] == 0
-    picture = rasterize(means, quats, scales, opacities, torch.ones(3, 1), *camera)
-    assert found.sum().item() == pytest.approx(picture.alpha.sum().item(), rel=1e-5)
-    assert not found.requires_grad
+    covariances = torch.tensor([0.25, 1.0, 1.0])[:, None, None] * torch.eye(3)
+    intrinsics = np.array([[40.0, 0, 16], [0, 40, 16], [0, 0, 1]])
+    camera = Camera("front", 32, 32, intrinsics, np.eye(4))
+    gaussians = Gaussians(
+        means, covariances, torch.tensor([0.6, 0.5, 0.9]), torch.ones(3, 4), torch.zeros(3).long(), ("body",)
+    )
+    rows = {name: getattr(gaussians, name)[:1] for name in ("means", "covariances", "opacities")}
+    weights = contributions(gaussians, camera)
+    near = contributions(replace(gaussians, **rows), camera)
+    assert weights[0] == pytest.approx(near[0].item(), rel=1e-6) and weights[2] == 0
+    picture = render_gaussians(gaussians, camera)
+    assert weights.sum().item() == pytest.approx(picture.alpha.sum().item(), rel=1e-5)
+    assert not weights.requires_grad
 
 
 def test_gradients_match_finite_differences_in_a_smooth_scene():

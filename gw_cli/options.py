@@ -56,13 +56,13 @@ def _known_device(name: str) -> str:
 Preset = Annotated[
     str,
     typer.Option(
-        help="tiny | draft | balanced | paper: how much to spend.",
+        help="How much time to spend: tiny | draft | balanced | paper.",
         autocompletion=completion.presets,
         callback=known_preset,
         rich_help_panel=GENERAL,
     ),
 ]
-Seed = Annotated[int, typer.Option(min=0, help="Seed of everything random.", rich_help_panel=GENERAL)]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of all random numbers.", rich_help_panel=GENERAL)]
 Device = Annotated[
     str,
     typer.Option(

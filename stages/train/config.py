@@ -122,7 +122,7 @@ class TrainConfig:
         device: auto, cpu or cuda; not part of what the result is named by.
     """
 
-    seed: int = option(0, "Seed of everything random.", min=0)
+    seed: int = option(0, "Seed of all random numbers.", min=0)
     steps: int = option(2000, "Optimiser steps.", min=1)
     minutes: float = option(0.0, "Stop after this much training time; 0 for the steps alone.", min=0)
     frame_step: int = option(

@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from stages.shared.body import JOINT_INDEX, BodyModel, Poses, bone_transforms, shaped_joints, skin
+from stages.shared.body import JOINT_INDEX, BodyModel, bone_transforms, shaped_joints, skin
 from stages.shared.body.skeleton import PARENTS
 from stages.shared.meshes import edges
 from stages.synth.offset_surface import border_vertices, neighbour_mean
@@ -131,17 +131,6 @@ class ShapedBody:
     def pose(self, points: Doubles, weights: Doubles, transforms: Doubles) -> Doubles:
         """(..., V, 3) of rest points (V, 3), weights (V, 55), transforms (..., 55, 4, 4)."""
         return skin(torch.from_numpy(points), torch.from_numpy(weights), torch.from_numpy(transforms)).numpy()
-
-    def posed(self, rotations: NDArray[np.floating]) -> Doubles:
-        """(V, 3) the surface in one pose (55, 3), pelvis where the rest pose has it."""
-        return self.pose(self.rest_vertices, self.weights, self.transforms(rotations, np.zeros(3)))
-
-    def animate(self, poses: Poses) -> NDArray[np.float32]:
-        """(T, V, 3) the surface in every frame, world."""
-        frames = []
-        for transforms in self.transforms(poses.rotations, poses.translation):
-            frames.append(self.pose(self.rest_vertices, self.weights, transforms).astype(np.float32))
-        return np.stack(frames)
 
     def transfer(self, points: Doubles, faces: NDArray[np.int64], values: Doubles) -> Doubles:
         """(V, K) values of this body's vertices (B, K) at points (V, 3) of a mesh around its rest pose.

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.shared.body import JOINT_INDEX, Poses
-from stages.shared.layers import BODY, SKIN, label_id
+from stages.shared.layers import SKIN, label_id
 from stages.shared.pictures.srgb import linear_from_srgb
 from stages.synth.bodies import Person, ShapedBody
 from stages.synth.cuts import hair_cap, shoe
@@ -25,12 +25,11 @@ class Bound:
     """A mesh that moves with the bones: hair or a shoe.
 
     Attributes:
-        name: what it is; label: id of hair or shoe.
+        label: id of hair or shoe.
         vertices: (V, 3) metres, rest frame of the wearer; faces: (F, 3); weights: (V, 55).
         color: albedo, sRGB 0..1.
     """
 
-    name: str
     label: int
     vertices: Doubles
     faces: NDArray[np.int64]
@@ -49,7 +48,6 @@ class Look:
         vertex_colors: (V, 3) linear albedo, for parts without a pattern.
         vertex_label: (V,) u8.
         fabrics: (P, 20) rows of `Fabric`.
-        parts: name and vertex range of each part.
     """
 
     faces: NDArray[np.int64]
@@ -59,22 +57,21 @@ class Look:
     vertex_colors: Doubles
     vertex_label: NDArray[np.uint8]
     fabrics: Doubles
-    parts: tuple[tuple[str, int, int], ...]
 
 
 def accessories(mean: ShapedBody, wearer: ShapedBody, person: Person, spacing: float) -> list[Bound]:
     """Hair and shoes, fitted to the wearer; `spacing` of their vertices in metres."""
     offsets = wearer.rest_vertices - mean.rest_vertices
-    pieces = [("hair", HAIR, hair_cap(mean, spacing, person.hair_length), person.hair)]
-    pieces += [(f"shoe {side:+d}", SHOE, shoe(mean, spacing, side), person.shoes) for side in (1, -1)]
+    pieces = [(HAIR, hair_cap(mean, spacing, person.hair_length), person.hair)]
+    pieces += [(SHOE, shoe(mean, spacing, side), person.shoes) for side in (1, -1)]
     bound = []
-    for name, label, (vertices, faces), color in pieces:
+    for label, (vertices, faces), color in pieces:
         weights = np.maximum(mean.transfer(vertices, faces, mean.weights), 0.0)
         if label == HAIR:
             weights[:] = np.eye(weights.shape[1])[JOINT_INDEX["head"]]
         weights /= weights.sum(axis=1, keepdims=True)
         fitted = vertices + mean.transfer(vertices, faces, offsets)
-        bound.append(Bound(name, label, fitted, faces, weights, color))
+        bound.append(Bound(label, fitted, faces, weights, color))
     return bound
 
 
@@ -82,43 +79,23 @@ def look_of(body: ShapedBody, person: Person, bound: list[Bound], garments: list
     """The static half of a dressed person."""
     plain = np.zeros(ROW_LENGTH)
     plain[0], plain[1] = VERTEX_COLORS, 1.0
-    faces, labels, fabric_of, uvs, colors, vertex_labels = [], [], [], [], [], []
-    parts: list[tuple[str, int, int]] = []
-    fabrics = [plain]
-    start = 0
-
-    def append(
-        name: str, label: int, count: int, triangles: NDArray[np.int64], color: Doubles, row: int, uv: Doubles
-    ) -> None:
-        nonlocal start
-        faces.append(triangles + start)
-        labels.append(np.full(len(triangles), label, dtype=np.uint8))
-        fabric_of.append(np.full(len(triangles), row, dtype=np.int64))
-        uvs.append(uv)
-        colors.append(np.broadcast_to(linear_from_srgb(color), (count, 3)))
-        vertex_labels.append(np.full(count, label, dtype=np.uint8))
-        parts.append((name, start, start + count))
-        start += count
-
-    no_uv = np.zeros((len(body.faces), 3, 2))
-    append(BODY, SKIN, len(body.rest_vertices), body.faces, _body_colors(body, person), 0, no_uv)
-    for piece in bound:
-        uv = np.zeros((len(piece.faces), 3, 2))
-        append(piece.name, piece.label, len(piece.vertices), piece.faces, _shaded(piece), 0, uv)
-    for garment in garments:
-        fabrics.append(garment.fabric.row())
-        count = len(garment.vertices)
-        grey = np.full(3, 0.5)
-        append(garment.layer, garment.label, count, garment.faces, grey, len(fabrics) - 1, garment.corner_uv)
+    bare = [(SKIN, body.faces, _body_colors(body, person))]
+    bare += [(piece.label, piece.faces, _shaded(piece)) for piece in bound]
+    pieces = [(label, faces, colors, np.zeros((len(faces), 3, 2)), 0) for label, faces, colors in bare]
+    for row, garment in enumerate(garments, start=1):
+        grey = np.full((len(garment.vertices), 3), 0.5)
+        pieces.append((garment.label, garment.faces, grey, garment.corner_uv, row))
+    labels, faces, colors, uvs, rows = zip(*pieces, strict=True)
+    vertex_counts, face_counts = [len(one) for one in colors], [len(one) for one in faces]
+    starts = np.repeat(np.cumsum([0, *vertex_counts[:-1]]), face_counts)
     return Look(
-        np.concatenate(faces),
-        np.concatenate(labels),
-        np.concatenate(fabric_of),
+        np.concatenate(faces) + starts[:, None],
+        np.repeat(np.array(labels, dtype=np.uint8), face_counts),
+        np.repeat(np.array(rows, dtype=np.int64), face_counts),
         np.concatenate(uvs),
-        np.concatenate(colors),
-        np.concatenate(vertex_labels),
-        np.stack(fabrics),
-        tuple(parts),
+        linear_from_srgb(np.concatenate(colors)),
+        np.repeat(np.array(labels, dtype=np.uint8), vertex_counts),
+        np.stack([plain, *(garment.fabric.row() for garment in garments)]),
     )
 
 

@@ -17,9 +17,6 @@ from stages.shared.body import JOINT_INDEX, Poses
 from stages.synth.bodies import ShapedBody
 
 FPS = 30.0
-# When each motion has come to its end.
-TRAINING_SECONDS = 160 / FPS
-HELD_OUT_SECONDS = 80 / FPS
 SHOWCASE_SECONDS = 210 / FPS
 
 Angles = dict[str, NDArray[np.float64]]

@@ -43,11 +43,11 @@ class Samples:
     moments: list[tuple[Poses, int]]
     training: int
 
-    def motions(self, memories: int) -> list[Tensor] | None:
-        """(H,) recent motion of each, as a model of so many memories wants it; None for none."""
-        if not memories:
+    def motions(self, integrators: int) -> list[Tensor] | None:
+        """(H,) recent motion of each, with this many leaky integrators; None for no integrators."""
+        if not integrators:
             return None
-        return [recent_motion(motion, row, memories) for motion, row in self.moments]
+        return [recent_motion(motion, row, integrators) for motion, row in self.moments]
 
 
 def sample_poses(body: BodyModel, training: Poses, extra: Sequence[Poses], config: DistillConfig) -> Samples:

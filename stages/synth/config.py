@@ -27,7 +27,7 @@ class SynthConfig:
     substeps: int = option(60, "Cloth simulation steps per frame.", min=1)
     ambient_rays: int = option(24, "Rays per vertex for soft shadows; 0 leaves them out.", min=0)
     jpeg: bool = option(True, "Images as JPEG (quality 95), or as PNG.")
-    seed: int = option(0, "Seed of everything random.", min=0)
+    seed: int = option(0, "Seed of all random numbers.", min=0)
 
 
 PRESETS: dict[str, SynthConfig] = {

@@ -117,7 +117,7 @@ def _majority(chosen: Tensor, neighbours: Tensor) -> Tensor:
 
 
 def _some(items: Sequence[Item], most: int) -> list[Item]:
-    """At most so many items, evenly spread."""
+    """At most `most` of the items, evenly spread."""
     rows = np.unique(np.linspace(0, len(items) - 1, min(most, len(items))).round().astype(int))
     return [items[row] for row in rows]
 

@@ -100,7 +100,7 @@ class TrainingViews:
         cache_bytes: most memory for decoded crops.
     """
 
-    crops = True  # cut pictures to the subject; False only to measure what that saves
+    margin = _MARGIN  # px around the subject, where pictures are cut
 
     def __init__(
         self,
@@ -198,12 +198,10 @@ class TrainingViews:
     def _read(self, frame: int, camera: str) -> _Crop:
         whole = self.sequence.camera(camera, frame)
         mask = self.sequence.mask(camera, frame)
-        box = box_around(mask > MASK_THRESHOLD, _MARGIN)
+        box = box_around(mask > MASK_THRESHOLD, self.margin)
         if box is None:
             self._blank.add((camera, frame))
             return _blank_crop(whole)
-        if not self.crops:
-            box = (0, 0, whole.width, whole.height)
         left, top, right, bottom = box
         inside = (slice(top, bottom), slice(left, right))
         mask = mask[inside]

@@ -35,7 +35,7 @@ class ModelConfig:
         pose_prior: directions of the PCA of positional maps on which poses unlike the training's are
             projected for the networks (`stages/shared/avatar/pose_prior.py`); 0 for none. pose_sigma:
             standard deviations that such a pose may depart along each.
-        base: learn free attributes per texel beside the networks.
+        base: learn free attributes per texel in addition to the networks.
         color: "sigmoid" bounds colours to 0..1, "linear" leaves them unbounded (published).
         view_conditioning: colours see the cosine between normal and viewing direction (separate heads only).
         offset_scale: metres per unit of network output. max_scale: m, ceiling of a Gaussian; 0 for none.

@@ -23,7 +23,7 @@ from stages.shared.layers import SLOTS, label_of
 
 @dataclass(frozen=True, eq=False)
 class BodyUnderGarment:
-    """The source's body beneath a garment: attributes of the body texels that the garment covers.
+    """The source's body under a garment: attributes of the body texels that the garment covers.
 
     Attributes:
         texels: (K, 3) int64 view, row, column on the global grid, sorted.

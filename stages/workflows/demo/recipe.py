@@ -16,7 +16,7 @@ class DemoConfig:
 
     preset: str = "draft"
     steps: int | None = option(None, "Optimiser steps per subject; draft takes 1000 when absent.", min=1)
-    seed: int = option(0, "Seed of everything random.", min=0)
+    seed: int = option(0, "Seed of all random numbers.", min=0)
     device: str = option("auto", "auto | cpu | cuda.", choices=("auto", "cpu", "cuda"))
 
 

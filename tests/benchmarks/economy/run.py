@@ -188,7 +188,8 @@ def _timed_step(
     if name in ("step-nothing-saved", "step-all-networks"):
         train = replace(train, model=replace(train.model, networks="all"))
     trainer = prepare(subject, train, whole_grid if nothing or name == "step-whole-grid" else None)
-    trainer.views.crops = not (nothing or name == "step-whole-images")
+    if nothing or name == "step-whole-images":
+        trainer.views.margin = 1 << 16  # px: all of every picture
     trainer.one_pass = trainer.one_pass and not (nothing or name == "step-pass-per-camera")
     psnr = _first_pictures(trainer, config.frames)
     found = measure(trainer, TimingConfig(steps=config.steps).steps, SILENT)

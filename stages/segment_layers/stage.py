@@ -103,12 +103,8 @@ def run(
         picture = two_sided_picture(template.canonical["vertices"], template.faces, label_picture(labels))
         build.write_picture("preview.png", picture)
         build.summary(**_summary(template, labels, source, layers, registered))
-    summary = build.artifact.summary
-    report.say("layers: " + ", ".join(summary["layers"]) + f" (labels from {source})")
-    for name, slots in summary["slots"].items():
-        if len(slots) > 1:
-            report.say(f"{name} is one piece: gw export-garment --layer {name} --slots {','.join(slots)}")
-    return StageResult(build.artifact, summary)
+    _report_layers(build.artifact.summary, report)
+    return StageResult(build.artifact, build.artifact.summary)
 
 
 def plan(subject: Path, config: SegmentLayersConfig = SegmentLayersConfig()) -> Plan:
@@ -184,6 +180,13 @@ def add_colors(mesh: dict[str, np.ndarray], scene: RayScene, take: Take | None, 
     mesh["colors"] = np.rint(255 * filled).astype(np.uint8)
     mesh["color_confidence"] = confidence
     del mesh["scan_colors"], mesh["scan_seen"]
+
+
+def _report_layers(summary: dict[str, Any], report: Report) -> None:
+    report.say("layers: " + ", ".join(summary["layers"]) + f" (labels from {summary['labels_from']})")
+    for name, slots in summary["slots"].items():
+        if len(slots) > 1:
+            report.say(f"{name} is one piece: gw export-garment --layer {name} --slots {','.join(slots)}")
 
 
 def _summary(

@@ -92,7 +92,9 @@ class Page:
     def screenshot(self) -> np.ndarray:
         """(H, W, 3) u8 of what is on the screen."""
         data = base64.b64decode(self._call("Page.captureScreenshot", format="png")["data"])
-        return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
+        picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+        assert picture is not None, "the browser sent no PNG"
+        return picture[..., ::-1]
 
     def _call(self, method: str, seconds: float = 120, **parameters: Any) -> dict[str, Any]:
         self._count += 1

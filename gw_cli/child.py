@@ -28,13 +28,14 @@ class CommandFailed(GwError):
     """
 
     def __init__(self, command: str, exit_code: int, printed: str) -> None:
+        last_line = (printed.strip().splitlines() or [""])[-1]
         error: dict[str, str] = {}
-        with contextlib.suppress(ValueError, IndexError, AttributeError):
-            error = json.loads(printed.strip().splitlines()[-1]).get("error", {})
+        with contextlib.suppress(ValueError, AttributeError):
+            error = json.loads(last_line).get("error", {})
         what = error.get("what", f"it ended with {exit_code}")
         super().__init__(
             f"The command `{command}` failed: {what}",
-            error.get("where", command),
+            error.get("where", last_line or command),
             error.get("fix", "Run it by itself."),
         )
         self.exit_code = exit_code

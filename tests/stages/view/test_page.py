@@ -49,7 +49,7 @@ def test_keys_turn_and_step_and_the_address_keeps_it(viewer: Viewer) -> None:
         tab.wait_for(f"gw.request.row === 1 && {READY}")
         tab.run("document.querySelector('[name=wear-upper][value=upper]').click()")
         tab.run("document.querySelector('[name=layer-body]').click()")
-        tab.wait_for("location.hash.includes('upper') && location.hash.includes('row=1')")
+        tab.wait_for("['upper', 'row=1', 'hidden=body'].every((part) => location.hash.includes(part))")
         address, azimuth = tab.run("location.href"), tab.run("gw.orbit.azimuth")
         assert tab.complaints == []
     with browser_page(720, 480) as tab:

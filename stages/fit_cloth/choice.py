@@ -1,7 +1,7 @@
 """What a garment is made of, what its tracked offsets correct, and which driver follows the take best.
 
-Where the take has label images, they judge: the share of the garment's outline that is wrong. Otherwise the
-distance to the tracked offsets does.
+Where the take has label images, they judge: the share of the garment's outline that is wrong. The distance to
+the tracked offsets decides between materials whose outlines are equally good, and where there are no label images.
 """
 
 from __future__ import annotations
@@ -106,10 +106,10 @@ def fit_garment(
     """
     name, take = tracked.layer.name, _Take(tracked, outlines)
     trials: dict[str, Agreement | None] = {}
-    best: tuple[Agreement, str, ClothPattern, OutfitSimulation, list[Doubles]] | None = None
+    runs: dict[str, tuple[ClothPattern, OutfitSimulation, list[Doubles]]] = {}
     inner = {} if beneath is None else beneath.patterns
     for label, material in materials.items():
-        candidate = with_material(pattern, material, tracked.body, pose)
+        candidate = with_material(pattern, material, tracked.body, pose, detail)
         try:
             simulation = OutfitSimulation(
                 tracked.body, tracked.poses.betas, {**inner, name: candidate}, detail=detail,
@@ -123,16 +123,16 @@ def fit_garment(
             trials[label] = None
             continue
         places = [_places(candidate, vertices) for vertices in motion]
-        agreement = trials[label] = _of(take, places)
-        if best is None or agreement.score < best[0].score:
-            best = (agreement, label, candidate, simulation, motion)
-    if best is None:
+        trials[label] = _of(take, places)
+        runs[label] = candidate, simulation, motion
+    if not runs:
         raise BadData(
             f"No material keeps the simulation of '{name}' within the range of numbers.",
             name,
             "Look at its layer with gw inspect; without gw fit-cloth it is driven by what was learned.",
         )
-    agreement, label, chosen, simulation, motion = best
+    label, agreement = best_material({label: trial for label, trial in trials.items() if trial is not None})
+    chosen, simulation, motion = runs[label]
     residual, corrected = _residual(tracked, chosen, motion)
     held_out = _of(take, corrected)
     use = held_out.score < agreement.score
@@ -187,12 +187,29 @@ def _residual(
     return mean(np.ones(len(parts), dtype=bool)), corrected
 
 
+def best_material(trials: dict[str, Agreement]) -> tuple[str, Agreement]:
+    """The material nearest to the tracked garment, of those whose outline is as good as the best.
+
+    An outline hardly shows how far cloth slides along the body: a pattern on it does, and tracking follows it.
+    """
+    best = min(trials.values(), key=lambda trial: trial.score)
+    equal = {label: trial for label, trial in trials.items() if not is_worse(trial, best)}
+    label = min(equal, key=lambda name: equal[name].tracked)
+    return label, equal[label]
+
+
+def is_worse(one: Agreement, other: Agreement) -> bool:
+    """Whether the mean of the paired differences is more than twice its standard error above zero."""
+    difference = one.samples - other.samples
+    error = difference.std(ddof=1) / np.sqrt(len(difference)) if len(difference) > 1 else 0.0
+    return bool(difference.mean() > _STANDARD_ERRORS * error)
+
+
 def default_driver(drivers: dict[str, Agreement], faces: NDArray[np.int32], vertices: int) -> str:
     """The best driver; simulation unless another one is significantly better.
 
     Simulation is preferred because it does not know the take, and learned offsets do: in motions that are
-    unlike the take they fall behind. Another driver is better where the mean of the paired differences is
-    more than twice its standard error. A mesh in several pieces is never simulated by default, since nothing
+    unlike the take they fall behind. A mesh in several pieces is never simulated by default, since nothing
     ties them together.
     """
     pieces = int(components(faces, vertices).max(initial=0)) + 1
@@ -200,6 +217,4 @@ def default_driver(drivers: dict[str, Agreement], faces: NDArray[np.int32], vert
     best = min(others, key=lambda driver: drivers[driver].score)
     if pieces > 1:
         return best
-    worse = drivers["simulated"].samples - drivers[best].samples
-    error = worse.std(ddof=1) / np.sqrt(len(worse)) if len(worse) > 1 else 0.0
-    return best if worse.mean() > _STANDARD_ERRORS * error else "simulated"
+    return best if is_worse(drivers["simulated"], drivers[best]) else "simulated"

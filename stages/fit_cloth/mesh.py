@@ -16,14 +16,14 @@ from stages.shared.avatar.deform import blended, moved, shaped_positions
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.avatar.pose import frame_pose
 from stages.shared.body import JOINT_INDEX, BodyModel, Poses, posed_joints
-from stages.shared.cloth.balance import balanced_rest_lengths
+from stages.shared.cloth.balance import balanced
 from stages.shared.cloth.body_surface import BodyCollider
 from stages.shared.cloth.material import Material
 from stages.shared.cloth.pattern import ClothPattern
 from stages.shared.cloth.remeshing import simulation_mesh
 from stages.shared.cloth.riding import ride
 from stages.shared.cloth.simulator import SKIN_MARGIN
-from stages.shared.cloth.surface import moving, template_margins
+from stages.shared.cloth.surface import template_margins
 from stages.shared.meshes import RayScene, components, edges, face_normals, keep_faces
 
 WAIST_BAND = 0.03  # metres around the upper rim of a skirt or of trousers that follow the body
@@ -80,7 +80,9 @@ def build_pattern(
     return with_material(pattern, material, body, pose)
 
 
-def with_material(pattern: ClothPattern, material: Material, body: BodyModel, pose: Poses) -> ClothPattern:
+def with_material(
+    pattern: ClothPattern, material: Material, body: BodyModel, pose: Poses, detail: float = 1.0
+) -> ClothPattern:
     """The pattern of another material, with rest lengths in balance where the material asks for them."""
     ends = pattern.rest_vertices.astype(np.float64)[edges(pattern.faces)]
     lengths = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
@@ -89,12 +91,11 @@ def with_material(pattern: ClothPattern, material: Material, body: BodyModel, po
         return pattern
     collider = BodyCollider(body, pose.betas, material.skin_friction)
     at = collider.vertices(pose.rotations[0], pose.translation[0])
-    one = pattern.garment("cloth")
-    rest = balanced_rest_lengths(one, moving(collider.surface, at, at))
+    constraints = balanced(pattern.garment("cloth"), collider.surface, at, detail).constraints
     # Constraints are sorted by colour; the pattern keeps edges in the order of `meshes.edges`.
-    pairs = np.sort(one.constraints.edges, axis=1)
+    pairs = np.sort(constraints.edges, axis=1)
     order = np.lexsort((pairs[:, 1], pairs[:, 0]))
-    return replace(pattern, rest_lengths=_not_too_short(rest[order]))
+    return replace(pattern, rest_lengths=_not_too_short(constraints.edge_rest[order]))
 
 
 def _not_too_short(lengths: NDArray[np.float64]) -> NDArray[np.float32]:

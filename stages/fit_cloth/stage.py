@@ -31,6 +31,7 @@ from stages.shared.artifacts import Artifact, ExternalFiles, Workspace
 from stages.shared.artifacts.spec import StageResult
 from stages.shared.body import BodyModel, Poses
 from stages.shared.capture.template_views import capture_files, template_take
+from stages.shared.cloth.material import Material
 from stages.shared.layers import garments_of
 from stages.shared.outfit.layer import layer_of_training
 from stages.shared.outfit.simulation import OutfitSimulation
@@ -77,8 +78,7 @@ def run(
             report.step(f"fitting {name}")
             layer = layer_of_training(name, baked, trained)
             mesh = segmented.arrays(name)
-            first = next(iter(materials.values()))
-            pattern = build_pattern(name, mesh, layer.maps, body, pose, config.vertices, first)
+            pattern = build_pattern(name, mesh, layer.maps, body, pose, config.vertices, Material())
             tracked = tracked_garment(layer, body, take, config.parts)
             outlines = None if seen is None else read_outlines(seen, rows, name, layer.maps.pitch)
             fitted = fit_garment(tracked, outlines, pattern, beneath, materials, pose, config.detail)

@@ -56,8 +56,13 @@ class Material:
         return cls(balanced=values["balanced"], **numbers)
 
 
-TIGHT = Material()
+TIGHT = Material(balanced=True)
 LIGHT_KNIT = Material(edge_stiffness=1000.0, balanced=True)
 FLARED = Material(
-    edge_stiffness=60.0, bending=5e-5, repulsion=0.012, rest_curvature=0.5, steps_per_second=1200.0
+    edge_stiffness=60.0,
+    bending=5e-5,
+    repulsion=0.012,
+    rest_curvature=0.5,
+    balanced=True,
+    steps_per_second=1200.0,
 )

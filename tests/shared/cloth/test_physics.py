@@ -128,12 +128,12 @@ def test_a_sheet_follows_a_sphere_that_moves() -> None:
 def test_the_start_does_not_sag() -> None:
     """Rest lengths in balance hold the template where it is; unbalanced ones let it down."""
     vertices, faces = grid(9, 6, 0.04)
-    hanging = np.stack([vertices[:, 2], -vertices[:, 0], 0.02 * np.sin(9 * vertices[:, 2])], axis=1)
+    hanging = np.stack([vertices[:, 2], -vertices[:, 0], 0.002 * np.sin(9 * vertices[:, 2])], axis=1)
     pinned = hanging[:, 1] > -1e-6
-    soft = Material(edge_stiffness=60.0, balanced=True)
+    soft = Material(edge_stiffness=15.0, balanced=True)
     one = garment("curtain", hanging, faces, pinned, soft)
     falls = []
-    for worn in (one, balanced(one, None)):
+    for worn in (one, balanced(one, NOTHING, NOWHERE)):
         end = run_free(free_simulation(worn), 20)
         falls.append(np.linalg.norm(end - hanging, axis=1).max())
     assert falls[1] < 0.2 * falls[0] and falls[1] < 0.003

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from stages.fit_cloth import stage
-from stages.fit_cloth.choice import Agreement, default_driver
+from stages.fit_cloth.choice import Agreement, best_material, default_driver
 from stages.fit_cloth.config import FitClothConfig
 from stages.fit_cloth.mesh import pins, with_material, without_loose_pieces
 from stages.fit_cloth.openings import close_holes, highest_rim, rims
@@ -16,7 +16,7 @@ from stages.fit_cloth.outlines import Outlines, OutlineView, draw
 from stages.fit_cloth.welding import large_pieces, weld
 from stages.shared.artifacts import Workspace
 from stages.shared.body import embedded_body
-from stages.shared.cloth.material import TIGHT
+from stages.shared.cloth.material import TIGHT, Material
 from stages.shared.cloth.pattern import ClothPattern
 from stages.shared.errors import UsageProblem
 from stages.shared.outfit.trained_subject import TrainedSubject, fitted_cloth
@@ -109,7 +109,7 @@ def test_an_edge_of_almost_no_length_gets_a_rest_length_that_bundles_allow() -> 
         pose=np.zeros((55, 3), np.float32), texel_faces=np.zeros(4, np.int32),
         texel_weights=nothing, texel_offsets=nothing, material=TIGHT,
     )  # fmt: skip
-    fitted = with_material(pattern, TIGHT, None, None)  # type: ignore[arg-type]  # a body is for balance alone
+    fitted = with_material(pattern, Material(), None, None)  # type: ignore[arg-type]  # a body is for balance alone
     lengths = np.sort(fitted.rest_lengths)
     assert lengths[0] == np.float32(1e-3)
     np.testing.assert_allclose(lengths[1:], np.sort([0.03, 0.03, 0.03 - 1e-6, 0.03 * 2**0.5]), rtol=1e-5)
@@ -183,3 +183,15 @@ def test_pieces_far_apart_stay_apart() -> None:
     apart = faces[(height < -0.18) | (height > -0.03)]
     whole, triangles = weld(vertices, apart, edge=0.03)
     assert len(large_pieces(triangles, len(whole))) == 2
+
+
+def test_the_tracked_offsets_decide_between_outlines_that_are_equally_good() -> None:
+    noise = np.array([0.01, -0.01, 0.02, -0.02])
+    trials = {
+        "best outline": Agreement(0.03, 0.20, 0.20 + noise),
+        "as good": Agreement(0.01, 0.201, 0.201 - noise),
+        "worse": Agreement(0.005, 0.25, 0.25 + noise),
+    }
+    assert best_material(trials)[0] == "as good"
+    without = {name: Agreement(trial.tracked, None, trial.samples) for name, trial in trials.items()}
+    assert best_material({"one": without["best outline"]})[0] == "one"

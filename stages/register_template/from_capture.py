@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -9,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.register_template.config import RegisterTemplateConfig
+from stages.register_template.fitting.body_parts import parts_far_from
 from stages.register_template.fitting.fit_capture import fit_takes
-from stages.register_template.frame_choice import choose_frame
+from stages.register_template.frame_choice import MERGED_M, choose_frame, openness
 from stages.register_template.scan_cleaning import clean_scan
 from stages.register_template.sources import Registration, Source, frames_checked
 from stages.register_template.surface import distances, make_surface
@@ -43,7 +45,9 @@ def register_capture(source: Source, config: RegisterTemplateConfig, report: Rep
         fitted |= poses
         capture = with_poses(capture, poses)
         take = capture.take(take.name)
-    frame = source.frame if source.frame is not None else choose_frame(body, take.poses, take.frames)
+    wrong = fit_report.get("checks", {}).get(take.name, {}).get("wrong_frames", [])
+    right = [number for number in take.frames if number not in wrong] or take.frames
+    frame = source.frame if source.frame is not None else choose_frame(body, take.poses, right)
     report.step("projecting the body into the masks")
     checked = {number: posed_body(body, take.poses[number]) for number in frames_checked(take, frame)}
     posed = checked[frame]
@@ -57,6 +61,8 @@ def register_capture(source: Source, config: RegisterTemplateConfig, report: Rep
     report.say(f"{100 * alignment.mean_inside:.1f} % of the body's silhouette lies inside the masks")
 
     template, making = make_surface(source.template, small, frame, posed, body, config, report)
+    if source.fits_body:
+        _judge_frame(source, take, frame, right, parts_far_from(template, posed, body), report)
     numbers = distances(template, posed, body)
     iou = silhouette_ious(small, frame, template.vertices, template.faces)
     numbers["silhouette_iou"] = float(np.mean(list(iou.values())))
@@ -83,6 +89,29 @@ def register_capture(source: Source, config: RegisterTemplateConfig, report: Rep
     return Registration(
         template, poses_of_all, frame, take.name, alignment.inside, overlay, content, numbers, fitted
     )
+
+
+def _judge_frame(
+    source: Source, take: Take, frame: int, right: Sequence[int], far: list[str], report: Report
+) -> None:
+    """Say what is wrong with the template's frame, and which other frame is better.
+
+    Arguments:
+        right: frames whose fit is right. far: parts of the body that are far from the template.
+    """
+    scores = openness(source.body, take.poses)
+    better = choose_frame(source.body, take.poses, [number for number in right if number != frame] or [frame])
+    problems = [f"the {part} of the body is far from the surface" for part in far]
+    if scores[frame] < MERGED_M:
+        problems.append("arms or legs touch each other or the trunk, and their surfaces are one")
+    if frame not in right:
+        problems.append("the body does not fit")
+    if not problems:
+        return
+    cure = "take or record a frame with the arms away from the trunk and the legs apart"
+    if better != frame and (frame not in right or far or scores[better] > scores[frame]):
+        cure = f"--frame {better} is better"
+    report.warn(f"{take.name}, frame {frame} of the template: {'; '.join(problems)}; {cure}")
 
 
 def reduced_take(take: Take, posed: NDArray[np.float64], config: RegisterTemplateConfig) -> Take:

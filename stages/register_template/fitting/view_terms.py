@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
@@ -24,16 +26,21 @@ _EDGES: dict[str, NDArray[np.intp]] = {}
 
 def outside_of_mask(points: SurfacePoints, positions: Doubles, view: View, robust: float) -> Residuals:
     """Body points whose projection lies outside of the mask, with their distance to it in metres."""
-    pixels, depth = view.camera.project(positions)
-    visible = view.camera.in_view(pixels) & (depth > _LEAST_DEPTH)
-    columns, rows = (np.where(visible, pixels[:, axis], 0).astype(int) for axis in (0, 1))
-    metres = np.where(visible, depth, 1.0) / _focal(view.camera)
-    value = view.distance[rows, columns] * metres
-    used = np.flatnonzero(visible & (value < 0))
+    value, metres, (rows, columns) = _mask_distance(positions, view)
+    used = np.flatnonzero(value < 0)
     slope = view.slope[rows[used], columns[used]]
     gradients = _through_camera(view.camera, positions[used], slope) * metres[used, None]
     weights = _weights(value[used], robust, len(positions))
     return Residuals(_some(points, used), value[used], gradients, weights)
+
+
+def outside_m(positions: Doubles, views: Sequence[View]) -> Doubles:
+    """(K,) metres by which points lie outside of the mask that excludes them most; 0 inside of all masks."""
+    beyond = np.zeros(len(positions))
+    for view in views:
+        value, _, _ = _mask_distance(positions, view)
+        beyond = np.maximum(beyond, -value)
+    return beyond
 
 
 def contour_distance(
@@ -118,6 +125,15 @@ def occluding_contour(
     across = (normals[faces] + normals[second[turning]]) @ camera.camera_from_world[:3, :3].T
     flat = across[:, :2] / np.maximum(np.linalg.norm(across[:, :2], axis=1, keepdims=True), 1e-9)
     return faces, shares, flat
+
+
+def _mask_distance(positions: Doubles, view: View) -> tuple[Doubles, Doubles, tuple[NDArray, NDArray]]:
+    """Metres (K,) inside of a mask, 0 out of view; metres per pixel (K,); rows and columns, each (K,)."""
+    pixels, depth = view.camera.project(positions)
+    visible = view.camera.in_view(pixels) & (depth > _LEAST_DEPTH)
+    columns, rows = (np.where(visible, pixels[:, axis], 0).astype(int) for axis in (0, 1))
+    metres = np.where(visible, depth, 1.0) / _focal(view.camera)
+    return np.where(visible, view.distance[rows, columns] * metres, 0.0), metres, (rows, columns)
 
 
 def _edges(body: BodyModel) -> NDArray[np.intp]:

@@ -6,9 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
+from stages.register_template.fitting.bones import State, bones_of
+from stages.register_template.fitting.landmark_terms import landmark_points
 from stages.shared.body import Poses, embedded_body
 from stages.shared.body.posed import posed_body
 from stages.shared.capture import Camera, native_writer
+from stages.shared.capture.landmarks import Landmarks
 from stages.shared.meshes.raycast import RayScene
 
 
@@ -56,3 +59,72 @@ def write_capture(path: Path, poses: Poses | None = None, shown: Poses | None = 
                 image = hits.interpolate(body.faces, colors).astype(np.uint8)
                 take.view(camera.name, frame, image, np.where(hits.hit, 255, 0).astype(np.uint8), jpeg=False)
     return path
+
+
+def skirted_pose(arms_down: tuple[float, ...]) -> Poses:
+    """A frame for each angle of the arms (radians, 1.45: hanging), legs together."""
+    rotations = np.zeros((len(arms_down), 55, 3))
+    rotations[:, 0, 1] = 0.4
+    rotations[:, 16, 2], rotations[:, 17, 2] = -np.array(arms_down), np.array(arms_down)
+    rotations[:, 1, 2], rotations[:, 2, 2] = 0.03, -0.03
+    betas = np.r_[0.8, -1.0, 0.5, -0.5, np.zeros(6)]
+    translation = np.tile([0.0, 1.0, 0.0], (len(arms_down), 1))
+    return Poses(rotations, translation, betas, np.zeros((len(arms_down), 10)), 30.0)
+
+
+def write_skirted(path: Path, poses: Poses) -> Path:
+    """A native capture of a body in a skirt down to its ankles, with landmarks and without poses."""
+    body, cameras, random = embedded_body(), ring(8, 256), np.random.default_rng(0)
+    numbers, points, _ = landmark_points(body)
+    seen = np.full((len(poses), 33, 3), np.nan)
+    with native_writer(path, cameras) as writer:
+        take = writer.take("stand", "train", None)
+        for frame in range(len(poses)):
+            vertices = posed_body(body, poses[frame])
+            cloth, faces = _skirt(vertices)
+            surface = np.concatenate([vertices, cloth])
+            triangles = np.concatenate([body.faces, faces + len(vertices)])
+            colors = np.repeat([[200, 150, 120], [200, 40, 40]], [len(vertices), len(cloth)], axis=0)
+            scene = RayScene(surface, triangles)
+            for camera in cameras:
+                hits = scene.render(camera)
+                image = hits.interpolate(triangles, colors).astype(np.uint8)
+                take.view(camera.name, frame, image, np.where(hits.hit, 255, 0).astype(np.uint8), jpeg=False)
+            truth = bones_of(body, State.of(poses[frame])).positions(points)
+            seen[frame, numbers] = truth + random.normal(0, 0.015, truth.shape)
+        views, frames = (len(cameras), len(poses)), np.arange(len(poses))
+        landmarks = Landmarks(
+            tuple(camera.name for camera in cameras),
+            frames,
+            np.zeros((*views, 33, 2), np.float32),
+            np.ones((*views, 33), np.float32),
+            seen.astype(np.float32),
+            np.full((len(poses), 33), len(cameras), np.int32),
+        )
+        take.extra("landmarks.npz", landmarks.encoded())
+    return path
+
+
+def _skirt(vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A closed cone from the waist to above the ankles of a posed body: vertices and faces."""
+    pelvis = vertices[embedded_body().skin_weights.argmax(axis=1) == 0]
+    middle, narrow, around = pelvis.mean(axis=0), np.ptp(pelvis[:, 0]) / 2 + 0.01, 48
+    angle = np.linspace(0, 2 * np.pi, around, endpoint=False)
+    heights = np.linspace(middle[1] + 0.08, vertices[:, 1].min() + 0.12, 12)
+    widths = narrow + (0.26 - narrow) * np.minimum(1, 1.2 * np.linspace(0, 1, 12))
+    rings = [
+        np.stack(
+            [middle[0] + wide * np.cos(angle), np.full(around, high), middle[2] + wide * np.sin(angle)], 1
+        )
+        for high, wide in zip(heights, widths, strict=True)
+    ]
+    ends = [[middle[0], heights[0], middle[2]], [middle[0], heights[-1], middle[2]]]
+    one = np.arange(around)
+    other, faces = (one + 1) % around, []
+    for row in range(0, 11 * around, around):
+        faces += [np.stack([row + one, row + other, row + around + one], 1)]
+        faces += [np.stack([row + other, row + around + other, row + around + one], 1)]
+    top, bottom = 12 * around, 12 * around + 1
+    faces += [np.stack([np.full(around, top), other, one], 1)]
+    faces += [np.stack([np.full(around, bottom), 11 * around + one, 11 * around + other], 1)]
+    return np.concatenate([*rings, ends]), np.concatenate(faces)

@@ -10,7 +10,15 @@ import pytest
 
 from stages.register_template.config import RegisterTemplateConfig
 from stages.register_template.fitting.bones import State, bones_of
-from stages.register_template.fitting.fit_check import FitCheck, landmark_misfit, wrong_parts
+from stages.register_template.fitting.contours import views_of
+from stages.register_template.fitting.fit_check import (
+    FitCheck,
+    crossed_legs,
+    faults,
+    landmark_misfit,
+    unusual_betas,
+    wrong_parts,
+)
 from stages.register_template.fitting.fit_views import Observation
 from stages.register_template.fitting.landmark_terms import (
     Targets,
@@ -23,12 +31,13 @@ from stages.register_template.fitting.prior import SHAPE_LIMIT, Prior
 from stages.register_template.from_capture import alignment_bar
 from stages.shared.body import embedded_body
 from stages.shared.body.skeleton import JOINT_INDEX
+from stages.shared.capture import open_capture
 from stages.shared.capture.landmarks import Landmarks, read_landmarks
 from stages.shared.capture.take import Take
 from stages.shared.errors import BadData
 from tests.listening import Listener
 
-from .scenes import a_pose
+from .scenes import a_pose, write_capture
 
 BODY = embedded_body()
 
@@ -101,6 +110,25 @@ def test_crossed_legs_are_recognised() -> None:
     with pytest.raises(BadData, match="does not fit"):
         check.judge(wrong.betas, heard)
     assert any("feet" in text for text in heard.warnings)
+    assert any("the legs are crossed in 1 of 1 frames" in text for text in heard.warnings)
+    assert crossed_legs(BODY, wrong) and not crossed_legs(BODY, truth)
+    assert faults(BODY, truth, observation) == []
+
+
+def test_a_head_beside_the_head_is_named_without_landmarks(tmp_path: Path) -> None:
+    """Most of the body is inside of the masks; the head is not."""
+    capture = open_capture(write_capture(tmp_path / "capture"))
+    observation = Observation(views_of(capture.takes[0], 1))
+    truth = State.of(a_pose()[1])
+    assert faults(BODY, truth, observation) == []
+    wrong = truth.copy()
+    wrong.rotations[0, [JOINT_INDEX["spine3"], JOINT_INDEX["neck"]], 2] += 0.7
+    assert "the head is outside of the masks" in faults(BODY, wrong, observation)
+
+
+def test_a_shape_that_few_people_have_is_unusual_though_no_beta_is() -> None:
+    assert unusual_betas(np.full(10, 2.0)) == ["2.0 standard deviations"]
+    assert unusual_betas(np.r_[2.0, np.zeros(9)]) == []
 
 
 def test_an_unusual_shape_is_said_and_a_usual_one_is_not() -> None:

@@ -6,22 +6,19 @@ the cameras is a field whose zero level is the hull, exact to a fraction of a pi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import igl
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from stages.register_template.hull_grid import Grid, grid_between, least_in_bins
+from stages.register_template.hull_rounding import rounded
 from stages.register_template.silhouettes import Doubles, Silhouette, hull_field, silhouettes_of
-from stages.shared.capture.projection import sample_bilinear
 from stages.shared.capture.scaled_take import reduced_to
 from stages.shared.capture.take import Take
 from stages.shared.errors import BadData
 from stages.shared.meshes.mesh import Mesh
-from stages.shared.meshes.raycast import RayScene
-from stages.shared.meshes.topology import adjacency, components, keep_faces, vertex_normals
+from stages.shared.meshes.topology import adjacency, components, keep_faces
 from stages.shared.report import Report
 
 MOST_NODES = 12_000_000
@@ -39,12 +36,6 @@ _FEWEST_ROUGH_CAMERAS, _ROUGH_HALF_SIDE_M, _ROUGH_PITCH_M, _ROUGH_SMOOTHING, _RO
 # Distance from the body that the hull may always reach, reach of what one part of the body needs over the
 # parts around it, and slack on top of the need; metres.
 _ALWAYS_M, _SPREAD_M, _SLACK_M = 0.04, 0.15, 0.02
-# Rounding: distance from a mask's edge at which a node touches it (grid steps), number of measurements that
-# are averaged, their reach over the body, and the weight of a normal's turn by one radian (both metres).
-_TOUCHING_STEPS, _CURVES, _CURVE_SPREAD_M, _NORMAL_M = 1.5, 16, 0.05, 0.08
-_CLOSED_M = 0.12
-_BETWEEN_M = 0.4  # points with body this near on both sides lie between two parts of it
-_BIN_STEPS = 1.5  # side of the bins in which pixels are compared, in projected grid steps
 
 
 def carve(
@@ -55,7 +46,7 @@ def carve(
     reach: float,
     report: Report,
     body_faces: NDArray[np.integer] | None = None,
-    leg_vertices: NDArray[np.bool_] | None = None,
+    parts: NDArray[np.integer] | None = None,
 ) -> Mesh:
     """The hull of the masks of one frame as a closed mesh; its largest part only.
 
@@ -64,16 +55,16 @@ def carve(
         body_vertices: (V, 3) posed body, world, metres: where to look, and how far to go.
         pitch: metres between grid nodes. It grows when the grid would be too large.
         reach: metres; nothing farther from the body belongs to the person.
-        body_faces: (F, 3); with them the hull is rounded between the views (`_rounded`), without it is left
+        body_faces: (F, 3); with them the hull is rounded between the views (`rounded`), without it is left
             as the masks alone give it.
-        leg_vertices: (V,) which vertices are of hips and legs: between them skirts are closed.
+        parts: (V,) number of the part of the body; between vertices of `LEGS` skirts are closed.
 
     Raises:
         BadData: fewer than three cameras that see the person, masks that have no volume in common.
     """
     silhouettes = silhouettes_of(take, frame, _FEWEST_CAMERAS, "a hull", report)
     low, high = body_vertices.min(axis=0) - reach, body_vertices.max(axis=0) + reach
-    coarse = _grid(low, high, pitch * _COARSENESS)
+    coarse = grid_between(low, high, pitch * _COARSENESS)
     inside = hull_field(coarse.nodes(), silhouettes, coarse.pitch) > -pitch * _COARSENESS
     if not inside.any():
         raise _no_common_volume(take, frame)
@@ -86,14 +77,13 @@ def carve(
             f"the hull is carved at {1e3 * finest:.1f} mm, not {1e3 * pitch:.1f}: the grid would be too large"
         )
         pitch = float(finest)
-    grid = _grid(low, high, pitch)
-    values = _without_ghosts(
-        hull_field(grid.nodes(), silhouettes, grid.pitch), grid, silhouettes, body_vertices, reach
-    )
+    grid = grid_between(low, high, pitch)
+    hull = hull_field(grid.nodes(), silhouettes, grid.pitch)
+    values = _without_ghosts(hull, grid, silhouettes, body_vertices, reach)
     if body_faces is not None:
-        if leg_vertices is None:
-            leg_vertices = np.zeros(len(body_vertices), bool)
-        values = _rounded(values, grid, silhouettes, body_vertices, body_faces, leg_vertices)
+        if parts is None:
+            parts = np.zeros(len(body_vertices), np.intp)
+        values = rounded(values, hull, grid, silhouettes, body_vertices, body_faces, parts)
     vertices, faces, _ = igl.marching_cubes(values, grid.nodes(), *grid.shape[::-1], 0.0)
     if not len(faces):
         raise BadData(
@@ -180,27 +170,8 @@ def smooth(mesh: Mesh, steps: int, forward: float = 0.5, back: float = -0.53) ->
     return Mesh(vertices.astype(np.float32), mesh.faces)
 
 
-@dataclass(frozen=True)
-class _Grid:
-    """Nodes of a regular grid: x varies fastest, then y, then z."""
-
-    low: Doubles
-    pitch: float
-    shape: tuple[int, int, int]  # z, y, x
-
-    def nodes(self) -> Doubles:
-        z, y, x = (np.arange(count) * self.pitch for count in self.shape)
-        mesh = np.meshgrid(z + self.low[2], y + self.low[1], x + self.low[0], indexing="ij")
-        return np.stack([axis.reshape(-1) for axis in mesh[::-1]], axis=1)
-
-
-def _grid(low: Doubles, high: Doubles, pitch: float) -> _Grid:
-    counts = np.ceil((high - low) / pitch).astype(int) + 1
-    return _Grid(low, pitch, (int(counts[2]), int(counts[1]), int(counts[0])))
-
-
 def _without_ghosts(
-    values: Doubles, grid: _Grid, silhouettes: list[Silhouette], body: Doubles, reach: float
+    values: Doubles, grid: Grid, silhouettes: list[Silhouette], body: Doubles, reach: float
 ) -> Doubles:
     """The field cut down to what the masks need around each part of the body.
 
@@ -215,7 +186,7 @@ def _without_ghosts(
     needed = np.zeros(len(body))
     for one in silhouettes:
         pixels, depth = one.camera.project(nodes)
-        explaining = _least_in_bins(one, grid, depth, pixels, distance)
+        explaining = least_in_bins(one, grid, depth, pixels, distance)
         np.maximum.at(needed, nearest[explaining], distance[explaining])
     far = np.flatnonzero(needed > _ALWAYS_M)
     allowed = np.full(len(body), _ALWAYS_M)
@@ -225,87 +196,3 @@ def _without_ghosts(
     limited = values.copy()
     limited[inside] = np.minimum(values[inside], np.maximum(room, -grid.pitch))
     return limited
-
-
-def _rounded(
-    values: Doubles,
-    grid: _Grid,
-    silhouettes: list[Silhouette],
-    body: Doubles,
-    faces: NDArray[np.integer],
-    leg_vertices: NDArray[np.bool_],
-) -> Doubles:
-    """The field cut down to the thickness of the clothes, interpolated between the views.
-
-    Every ray through a mask's edge touches the person, most likely where it comes nearest to the body. This
-    gives the thickness of the clothes along a curve around the body for each view. Between the curves a hull
-    has the corners of a polygon; the thickness interpolated over the body has none. Between two parts of the
-    body (the legs in a skirt, the arm and the trunk) nothing is cut.
-    """
-    inside = np.flatnonzero(values > 0)
-    nodes = grid.nodes()[inside]
-    scene, normals = RayScene(body, faces), vertex_normals(body, faces).astype(np.float64)
-    closest, face, shares = scene.closest(nodes)
-    offset = nodes - closest
-    facing = np.einsum("ns,nsc->nc", shares, normals[faces[face]])
-    distance = np.linalg.norm(offset, axis=1) * np.sign(np.einsum("nc,nc->n", offset, facing))
-    nearest = faces[face, shares.argmax(axis=1)]
-    known, thickness = _touched(grid, silhouettes, nodes, distance, nearest)
-    features = np.concatenate([body, _NORMAL_M * normals], axis=1)
-    apart, around = cKDTree(features[known]).query(features, min(_CURVES, len(known)))
-    weights = np.exp(-((apart / _CURVE_SPREAD_M) ** 2) / 2) + 1e-6
-    interpolated = (weights * thickness[around]).sum(axis=1) / weights.sum(axis=1)
-    allowed = np.einsum("ns,ns->n", shares, interpolated[faces[face]])
-    beyond = scene.first_hits(nodes + 0.002 * facing, facing).distance
-    room = np.where((beyond < _BETWEEN_M) | (distance < 0), np.inf, allowed - distance)
-    result = values.copy()
-    result[inside] = np.minimum(values[inside], np.maximum(room, -grid.pitch))
-    # A skirt closes the space between the legs: what was cut there is restored as far as the masks allow.
-    legs = np.isin(nearest, np.flatnonzero(leg_vertices))
-    closed = _closed(result, grid)[inside[legs]]
-    result[inside[legs]] = np.maximum(result[inside[legs]], np.minimum(values[inside[legs]], closed))
-    return result
-
-
-def _closed(values: Doubles, grid: _Grid) -> Doubles:
-    """The field after closing gaps of up to twice `_CLOSED_M`: the shape grown and shrunk by as much."""
-    inside = (values > 0).reshape(grid.shape)
-    steps = _CLOSED_M / grid.pitch
-    grown = ndimage.distance_transform_edt(~inside) < steps
-    return np.asarray((ndimage.distance_transform_edt(grown) - steps) * grid.pitch, np.float64).reshape(-1)
-
-
-def _touched(
-    grid: _Grid, silhouettes: list[Silhouette], nodes: Doubles, distance: Doubles, nearest: NDArray
-) -> tuple[NDArray[np.intp], Doubles]:
-    """Body vertices (K,) next to which a mask's edge touches the person, and how far from the body (K,).
-
-    Arguments:
-        nodes: (N, 3) inside the hull, with their signed distance (N,) to the body and nearest vertex (N,).
-    """
-    vertices, thickness = [], []
-    for one in silhouettes:
-        pixels, depth = one.camera.project(nodes)
-        seen = np.flatnonzero(one.camera.in_view(pixels))
-        from_edge = sample_bilinear(one.distance, pixels[seen])[:, 0] * depth[seen] / one.focal
-        touching = seen[from_edge < _TOUCHING_STEPS * grid.pitch]
-        reached = distance[touching] + from_edge[from_edge < _TOUCHING_STEPS * grid.pitch]
-        first = _least_in_bins(one, grid, depth, pixels[touching], reached)
-        vertices.append(nearest[touching[first]])
-        thickness.append(reached[first])
-    return np.concatenate(vertices), np.concatenate(thickness)
-
-
-def _least_in_bins(
-    one: Silhouette, grid: _Grid, depth: Doubles, pixels: Doubles, values: Doubles
-) -> NDArray[np.intp]:
-    """The point with the smallest value in each bin of an image, of N points at pixels (N, 2); values (N,).
-
-    Arguments:
-        depth: of all points that are compared, metres; with the grid step it gives the size of the bins.
-    """
-    side = np.ceil(_BIN_STEPS * grid.pitch * one.focal / np.median(depth))
-    columns = int(np.ceil(one.camera.width / side)) + 1
-    bins = (pixels[:, 1] // side).astype(np.int64) * columns + (pixels[:, 0] // side).astype(np.int64)
-    order = np.lexsort((values, bins))
-    return np.asarray(order[np.unique(bins[order], return_index=True)[1]])

@@ -12,9 +12,9 @@ from scipy.spatial import cKDTree
 from stages.register_template.config import RegisterTemplateConfig
 from stages.register_template.fitting.fit_scan import UP_AXES
 from stages.register_template.hull import carve, largest_part, smooth
+from stages.register_template.hull_rounding import parts_of
 from stages.register_template.scan_cleaning import clean_scan
 from stages.shared.body import BodyModel
-from stages.shared.body.skeleton import JOINT_INDEX
 from stages.shared.capture import Take
 from stages.shared.capture.projection import project_colors
 from stages.shared.errors import BadData
@@ -26,7 +26,6 @@ from stages.shared.report import Report
 
 # A template with a larger median distance from the body belongs to another frame, place or unit.
 MEDIAN_BAR_M = 0.15
-_LEG_JOINTS = [JOINT_INDEX[name] for name in ("pelvis", "left_hip", "right_hip", "left_knee", "right_knee")]
 _COMPARED = 3000  # vertices that are looked at to find the up axis
 
 
@@ -63,8 +62,8 @@ def make_surface(
     else:
         report.step("carving the hull of the masks")
         faces = body.faces if config.hull_rounded else None
-        legs = np.isin(body.skin_weights.argmax(axis=1), _LEG_JOINTS)
-        carved = carve(take, frame, posed, config.hull_pitch_m, config.hull_reach_m, report, faces, legs)
+        parts = parts_of(body)
+        carved = carve(take, frame, posed, config.hull_pitch_m, config.hull_reach_m, report, faces, parts)
         even, method = remesh(smooth(carved, config.smoothing_steps), config.edge_m)
         mesh = largest_part(even)
         how = {"made": "hull", "carved_vertices": len(carved.vertices), "remeshed": method}

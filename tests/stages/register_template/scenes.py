@@ -15,6 +15,9 @@ from stages.shared.capture.landmarks import Landmarks
 from stages.shared.meshes.raycast import RayScene
 
 
+_COLORS = ([200, 150, 120], [200, 40, 40])  # skin, cloth
+
+
 def a_pose(frames: int = 3) -> Poses:
     """Arms go from hanging close to the body to 45° away; frame 1 is the most open one; legs stay apart."""
     rotations = np.zeros((frames, 55, 3))
@@ -81,10 +84,10 @@ def write_skirted(path: Path, poses: Poses) -> Path:
         take = writer.take("stand", "train", None)
         for frame in range(len(poses)):
             vertices = posed_body(body, poses[frame])
-            cloth, faces = _skirt(vertices)
-            surface = np.concatenate([vertices, cloth])
-            triangles = np.concatenate([body.faces, faces + len(vertices)])
-            colors = np.repeat([[200, 150, 120], [200, 40, 40]], [len(vertices), len(cloth)], axis=0)
+            surface, triangles = skirted_surface(vertices)
+            colors = np.where(
+                np.arange(len(surface))[:, None] < len(vertices), [200, 150, 120], [200, 40, 40]
+            )
             scene = RayScene(surface, triangles)
             for camera in cameras:
                 hits = scene.render(camera)
@@ -103,6 +106,13 @@ def write_skirted(path: Path, poses: Poses) -> Path:
         )
         take.extra("landmarks.npz", landmarks.encoded())
     return path
+
+
+def skirted_surface(vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and faces of a posed body (V, 3) and its skirt."""
+    cloth, faces = _skirt(vertices)
+    together = np.concatenate([embedded_body().faces, faces + len(vertices)])
+    return np.concatenate([vertices, cloth]), together
 
 
 def _skirt(vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -121,7 +121,7 @@ def _outfits(group: CommandApp) -> None:
         height: Pixels = None,
         most: Annotated[int, typer.Option(min=1, help="Refuse more outfits than this.")] = 256,
         drive: Annotated[
-            str, typer.Option(help="What moves garments: auto | bones | learned | simulated.")
+            str, typer.Option(help="What moves garments: auto | bones | learned | simulated | own-size.")
         ] = "auto",
         as_json: Json = False,
     ) -> None:

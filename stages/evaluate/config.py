@@ -55,7 +55,7 @@ class EvaluateConfig:
     supersampling: int = 2
     drive: str = option(
         "auto",
-        "What moves garments in unseen poses: auto | bones | learned | simulated; by layer: "
+        "What moves garments in unseen poses: auto | bones | learned | simulated | own-size; by layer: "
         "lower=bones,upper=learned.",
         panel="What is scored",
     )

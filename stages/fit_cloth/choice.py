@@ -1,7 +1,7 @@
 """What a garment is made of, what its tracked offsets correct, and which driver follows the take best.
 
-Where the take has label images, they judge: the share of the garment's outline that is wrong. The distance to
-the tracked offsets decides between materials whose outlines are equally good, and where there are no label images.
+Where the take has label images, they judge: the share of the garment's outline that is wrong. The distance
+to the tracked offsets decides between materials whose outlines are equally good, and without label images.
 """
 
 from __future__ import annotations
@@ -84,8 +84,8 @@ class _Take:
         apart = np.array([self.tracked.distance(row, places(row)) for row in rows])
         if self.outlines is None:
             return Agreement(float(apart.mean()), None, apart)
-        observed, outlines = self.tracked.observed_all, self.outlines
-        wrong = np.array([outlines.disagreement(row, places(row)[observed]) for row in outlines.views])
+        outlines = self.outlines
+        wrong = np.array([outlines.disagreement(row, places(row)) for row in outlines.views])
         return Agreement(float(apart.mean()), float(wrong.mean()), wrong)
 
 
@@ -137,7 +137,8 @@ def fit_garment(
     held_out = _of(take, corrected)
     use = held_out.score < agreement.score
     if use:
-        offsets = chosen.texel_offsets + RESIDUAL_SHARE * residual
+        offsets = chosen.texel_offsets.astype(np.float64)
+        offsets[:, 2] += RESIDUAL_SHARE * residual
         chosen = replace(chosen, texel_offsets=offsets.astype(np.float32))
     drivers = {"bones": _of(take, bones_places(tracked)), "simulated": held_out if use else agreement}
     learned = learned_places(tracked)
@@ -158,39 +159,40 @@ def _places(pattern: ClothPattern, vertices: Doubles) -> NDArray[np.float32]:
 def _residual(
     tracked: TrackedGarment, pattern: ClothPattern, motion: list[Doubles]
 ) -> tuple[Doubles, list[Doubles]]:
-    """The mean residual (N, 3) in the texels' frames, smooth over the mesh; and places with half of it.
+    """The mean residual (N,) m along the normals, smooth over the mesh; and places with half of it.
 
-    The places (N, 3) of every frame are corrected with the mean of the other parts of the take.
+    The places (N, 3) of every frame are corrected with the mean of the other parts of the take. What lies
+    along the surface is left out: the outline, which judges the correction, does not show it.
     """
     smooth = averaging(pattern.riding, pattern.faces, len(pattern.vertices))
     triangles, weights = pattern.faces[pattern.texel_faces], pattern.texel_weights.astype(np.float64)
     parts = np.unique(tracked.part_of)
-    sums = np.zeros((len(parts), len(pattern.texel_faces), 3))
+    sums = np.zeros((len(parts), len(pattern.texel_faces)))
     for row, vertices in enumerate(motion):
         places, frames = ridden(pattern.riding, vertices, pattern.faces)
-        sums[tracked.part_of[row]] += np.einsum("nji,nj->ni", frames, tracked.positions(row) - places)
+        normals = frames[:, :, 2]
+        sums[tracked.part_of[row]] += np.einsum("nc,nc->n", normals, tracked.positions(row) - places)
 
     def mean(chosen: NDArray[np.bool_]) -> Doubles:
         count = max(int(np.isin(tracked.part_of, parts[chosen]).sum()), 1)
-        values = smooth @ (sums[chosen].sum(axis=0) / count)
-        spread = np.einsum("nk,nkc->nc", weights, values[triangles])
-        length = np.linalg.norm(spread, axis=1, keepdims=True)
-        return np.asarray(spread * np.minimum(1.0, _LONGEST_CORRECTION / np.maximum(length, 1e-9)))
+        at_vertices = smooth @ (sums[chosen].sum(axis=0) / count)
+        spread = np.einsum("nk,nk->n", weights, at_vertices[triangles])
+        return np.clip(spread, -_LONGEST_CORRECTION, _LONGEST_CORRECTION)
 
-    nothing = np.zeros((len(pattern.texel_faces), 3))
+    nothing = np.zeros(len(pattern.texel_faces))
     others = {int(part): mean(parts != part) if len(parts) > 1 else nothing for part in parts}
     corrected = []
     for row, vertices in enumerate(motion):
         places, frames = ridden(pattern.riding, vertices, pattern.faces)
-        correction = others[int(tracked.part_of[row])]
-        corrected.append(places + RESIDUAL_SHARE * np.einsum("nij,nj->ni", frames, correction))
+        correction = RESIDUAL_SHARE * others[int(tracked.part_of[row])]
+        corrected.append(places + frames[:, :, 2] * correction[:, None])
     return mean(np.ones(len(parts), dtype=bool)), corrected
 
 
 def best_material(trials: dict[str, Agreement]) -> tuple[str, Agreement]:
     """The material nearest to the tracked garment, of those whose outline is as good as the best.
 
-    An outline hardly shows how far cloth slides along the body: a pattern on it does, and tracking follows it.
+    An outline hardly shows how far cloth slides along the body. Its print does, and tracking follows that.
     """
     best = min(trials.values(), key=lambda trial: trial.score)
     equal = {label: trial for label, trial in trials.items() if not is_worse(trial, best)}

@@ -76,6 +76,7 @@ def build_pattern(
         texel_weights=riding.barycentric,
         texel_offsets=riding.offset,
         material=material,
+        betas=pose.betas,
     )
     return with_material(pattern, material, body, pose)
 

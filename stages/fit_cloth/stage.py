@@ -15,6 +15,7 @@ the offsets that training tracked where there are none.
 from __future__ import annotations
 
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from stages.fit_cloth.choice import Agreement, FittedGarment, fit_garment
 from stages.fit_cloth.config import FitClothConfig
 from stages.fit_cloth.materials import candidates
 from stages.fit_cloth.mesh import build_pattern
-from stages.fit_cloth.outlines import MOST_FRAMES, chosen_cameras, read_outlines
+from stages.fit_cloth.outlines import MOST_FRAMES, chosen_cameras, read_outlines, surfaces_beneath
 from stages.fit_cloth.tracked import tracked_garment
 from stages.pipeline import BAKE_MAPS, FIT_CLOTH, REGISTER_TEMPLATE, SEGMENT_LAYERS, TRAIN
 from stages.shared.artifacts import Artifact, ExternalFiles, Workspace
@@ -80,7 +81,12 @@ def run(
             mesh = segmented.arrays(name)
             pattern = build_pattern(name, mesh, layer.maps, body, pose, config.vertices, Material())
             tracked = tracked_garment(layer, body, take, config.parts)
-            outlines = None if seen is None else read_outlines(seen, rows, name, layer.maps.pitch)
+            under = partial(surfaces_beneath, body, take, beneath)
+            outlines = (
+                None
+                if seen is None
+                else read_outlines(seen, rows, name, tracked.triangles, layer.maps.pitch, under)
+            )
             fitted = fit_garment(tracked, outlines, pattern, beneath, materials, pose, config.detail)
             beneath = fitted.simulation
             build.write_arrays(name, fitted.pattern.arrays())

@@ -12,6 +12,7 @@ from torch import Tensor
 from stages.shared.avatar.deform import blended, moved, shaped_positions
 from stages.shared.avatar.pose import FramePose, frame_pose, recent_motion
 from stages.shared.body import BodyModel, Poses
+from stages.shared.metrics.vertex_error import spanned_triangles
 from stages.shared.outfit.layer import WornLayer
 
 Floats = NDArray[np.float32]
@@ -25,7 +26,7 @@ class TrackedGarment:
 
     Attributes:
         layer: the garment. poses: T frames. offsets: (T, N, 3) f32 m canonical, tracked.
-        observed: (K,) some of the texels that cameras see; observed_all: all of them.
+        observed: (K,) some of the texels that cameras see. triangles: (M, 3) between those of all of them.
         part_of: (T,) the part of the take that each frame belongs to.
     """
 
@@ -34,7 +35,7 @@ class TrackedGarment:
     poses: Poses
     offsets: Floats
     observed: NDArray[np.int64]
-    observed_all: NDArray[np.int64]
+    triangles: NDArray[np.int32]
     part_of: NDArray[np.int64]
 
     def pose(self, row: int) -> FramePose:
@@ -66,7 +67,17 @@ def tracked_garment(
     observed = _observed(layer)
     step = max(1, len(observed) // most_texels)
     part_of = np.arange(len(poses)) * min(parts, len(poses)) // len(poses)
-    return TrackedGarment(layer, body, poses, offsets, observed[::step].numpy(), observed.numpy(), part_of)
+    return TrackedGarment(
+        layer, body, poses, offsets, observed[::step].numpy(), _triangles(layer, observed), part_of
+    )
+
+
+def _triangles(layer: WornLayer, observed: Tensor) -> NDArray[np.int32]:
+    """(M, 3) triangles between neighbouring texels among the observed ones (K,)."""
+    seen = np.zeros(len(layer.maps), dtype=bool)
+    seen[observed.numpy()] = True
+    triangles = spanned_triangles(layer.maps.neighbours.numpy())
+    return triangles[seen[triangles].all(axis=1)]
 
 
 def bones_places(tracked: TrackedGarment) -> list[Floats]:

@@ -31,7 +31,8 @@ class ViewConfig:
     )
     drive: str = option(
         "auto",
-        "What moves garments: auto | bones | learned | simulated; by layer: lower=bones,upper=learned.",
+        "What moves garments: auto | bones | learned | simulated | own-size; by layer: "
+        "lower=bones,upper=learned.",
     )
     width: int = 480
     height: int = 640

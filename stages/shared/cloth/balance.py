@@ -1,8 +1,8 @@
 """Rest lengths with which a garment hangs in balance in its template: no sag at the start.
 
-Cloth that is at rest in its template sinks as soon as it has weight: springs stretch, and a step of the solver
-leaves them longer than they would be in the end. The simulation itself says by how much. Each round lets
-the garment settle in the template's pose and shortens every edge by the ratio at which it was stretched.
+Cloth that is at rest in its template sinks as soon as it has weight: springs stretch, and a step of the
+solver leaves them longer than they would be in the end. The simulation itself says by how much. Each round
+lets the garment settle in the template's pose and shortens every edge by the ratio of its stretch.
 """
 
 from __future__ import annotations

@@ -20,6 +20,9 @@ from stages.shared.meshes import edges
 Doubles = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
+_SHORTEST_GRADED = 1e-3  # metres; how a shorter edge grows is noise
+_MOST_GROWTH = 3.0
+
 _TYPES = {np.dtype(np.float32): "F32", np.dtype(np.int32): "I32"}
 
 
@@ -38,6 +41,7 @@ class ClothPattern:
         pose: (55, 3) f32 axis-angle of the template's pose.
         texel_faces: (N,) i32, texel_weights, texel_offsets: (N, 3) f32, see `Riding`.
         material: see Material.
+        betas: (10,) f32 shape of the person it was learned from.
     """
 
     vertices: Floats
@@ -53,11 +57,28 @@ class ClothPattern:
     texel_weights: Floats
     texel_offsets: Floats
     material: Material
+    betas: Floats
 
     @property
     def riding(self) -> Riding:
         """How the texels sit on the mesh."""
         return Riding(self.texel_faces, self.texel_weights, self.texel_offsets)
+
+    def graded(self, body: BodyModel, betas: NDArray) -> ClothPattern:
+        """The pattern cut for a wearer: every edge grows as the body's shape makes the skinned garment grow.
+
+        Arguments:
+            betas: (10,) shape of the wearer. On the person it was learned from, the pattern stays as it is.
+        """
+        ends = edges(self.faces)
+        lengths = []
+        for shape in (self.betas, betas):
+            skin = PatternSkin(self, body, shape)
+            vertices = skin.positions(skin.transforms(self.pose, np.zeros(3)))
+            lengths.append(np.linalg.norm(vertices[ends[:, 0]] - vertices[ends[:, 1]], axis=1))
+        own, worn = np.maximum(lengths, _SHORTEST_GRADED)
+        growth = np.clip(worn / own, 1 / _MOST_GROWTH, _MOST_GROWTH)
+        return replace(self, rest_lengths=(self.rest_lengths * growth).astype(np.float32))
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """All arrays by name; inverse of `from_arrays`."""
@@ -65,12 +86,12 @@ class ClothPattern:
 
     @classmethod
     def from_arrays(
-        cls, arrays: Mapping[str, NDArray[Any]], material: Material, texels: int, where: str
+        cls, arrays: Mapping[str, NDArray[Any]], material: Material, betas: NDArray, texels: int, where: str
     ) -> ClothPattern:
         """The pattern in the arrays of a file, checked.
 
         Arguments:
-            texels: of the garment's maps.
+            betas: (10,) shape of the person it was learned from. texels: of the garment's maps.
 
         Raises:
             BadData: an array is missing or of another shape or type, an index names nothing, a value is not
@@ -79,7 +100,8 @@ class ClothPattern:
         layout = {name: (_TYPES.get(array.dtype, "?"), array.shape) for name, array in arrays.items()}
         check_cloth_layout(layout, texels, where)
         check_cloth_values(arrays, where)
-        return cls(material=material, **{name: np.ascontiguousarray(arrays[name]) for name in CLOTH_ARRAYS})
+        checked = {name: np.ascontiguousarray(arrays[name]) for name in CLOTH_ARRAYS}
+        return cls(material=material, betas=np.asarray(betas, dtype=np.float32), **checked)
 
     def garment(self, name: str) -> Garment:
         """The garment for a Simulator."""

@@ -7,9 +7,10 @@ A driver answers two questions about its layer:
 - the texel matrices: posed_from_canonical of every texel, from which centres and covariances follow
   (`deform.pose_layer`). `None` means linear blend skinning with the bones of the pose.
 
-`bones` and `learned` have no state. A driver with a state over time (simulated cloth) is told the motion in
-`prepare` and may compute ahead there. After that it is asked for single rows, in any order, and by several
-threads at a time.
+`simulated` cuts a garment for its wearer, as its shape-free Gaussians are; `own-size` keeps the size of the
+person it was learned from. `bones` and `learned` have no state. A driver with a state over time (simulated
+cloth) is told the motion in `prepare` and may compute ahead there. After that it is asked for single rows, in
+any order, and by several threads at a time.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from stages.shared.errors import UsageProblem
 from stages.shared.outfit.layer import WornLayer
 from stages.shared.outfit.simulation import OutfitSimulation, SimulatedDriver
 
-DRIVES = ("auto", "bones", "learned", "simulated")
+DRIVES = ("auto", "bones", "learned", "simulated", "own-size")
 
 
 class GarmentDriver(Protocol):
@@ -93,14 +94,15 @@ def choose_drivers(
     }
     patterns = {}
     for name, layer in garments.items():
-        if kinds[name] == "simulated":
+        if kinds[name] in ("simulated", "own-size"):
             if layer.cloth is None:
                 raise UsageProblem(
                     f"The garment {name!r} has no simulation mesh.",
                     "option --drive",
                     "Run gw fit-cloth and export the garment again, or use --drive learned or bones.",
                 )
-            patterns[name] = layer.cloth
+            own_size = kinds[name] == "own-size"
+            patterns[name] = layer.cloth if own_size else layer.cloth.graded(body_model, betas)
     simulation = OutfitSimulation(body_model, betas, patterns) if patterns else None
     drivers: dict[str, GarmentDriver] = {}
     for name, layer in garments.items():

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from stages.shared.artifacts import Artifact
@@ -120,7 +121,9 @@ def layer_of_bundle(bundle: Bundle, where: str = "bundle") -> WornLayer:
     if "cloth" not in manifest:
         return layer
     material = Material.from_json(manifest["cloth"]["material"], where)
-    pattern = ClothPattern.from_arrays(bundle.group("cloth"), material, len(maps), where)
+    pattern = ClothPattern.from_arrays(
+        bundle.group("cloth"), material, bundle.arrays["betas"], len(maps), where
+    )
     return replace(layer, cloth=pattern, drive=manifest["cloth"]["drive"])
 
 
@@ -144,15 +147,19 @@ def layer_of_training(name: str, baked: Artifact, trained: Artifact) -> WornLaye
     return WornLayer(name, slots, maps, model, trained.digest, layer_ids=ids)
 
 
-def with_cloth(layer: WornLayer, fitted: Artifact | None) -> WornLayer:
-    """The layer with its simulation mesh and its default driver from a fit-cloth artifact, if it has them."""
-    garments = fitted.json("cloth.json")["garments"] if fitted is not None else {}
-    if fitted is None or layer.name not in garments:
+def with_cloth(layer: WornLayer, fitted: Artifact, betas: NDArray[np.float32]) -> WornLayer:
+    """The layer with its simulation mesh and its default driver from a fit-cloth artifact, if it has them.
+
+    Arguments:
+        betas: (10,) shape of the subject.
+    """
+    garments = fitted.json("cloth.json")["garments"]
+    if layer.name not in garments:
         return layer
     entry, where = garments[layer.name], f"cloth of {layer.name}"
     material = Material.from_json(entry["material"], where)
     arrays = fitted.arrays(f"{layer.name}.safetensors")
-    pattern = ClothPattern.from_arrays(arrays, material, len(layer.maps), where)
+    pattern = ClothPattern.from_arrays(arrays, material, betas, len(layer.maps), where)
     return replace(layer, cloth=pattern, drive=str(entry["drive"]))
 
 

@@ -79,7 +79,8 @@ class TrainedSubject:
 
     def layer(self, name: str) -> WornLayer:
         """One trained layer."""
-        return with_cloth(layer_of_training(name, self.baked, self.trained), self.cloth)
+        layer = layer_of_training(name, self.baked, self.trained)
+        return layer if self.cloth is None else with_cloth(layer, self.cloth, self.poses().betas)
 
     def outfit(self) -> Outfit:
         """The subject in its own clothes."""

@@ -54,7 +54,8 @@ class RenderConfig:
     )
     drive: str = option(
         "auto",
-        "What moves garments: auto | bones | learned | simulated; by layer: lower=bones,upper=learned.",
+        "What moves garments: auto | bones | learned | simulated | own-size (simulated in the size of the "
+        "person it was learned from); by layer: lower=bones,upper=learned.",
         panel="Body and motion",
     )
     penetration: bool = option(

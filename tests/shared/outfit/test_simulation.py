@@ -44,6 +44,22 @@ def test_the_mesh_moves_texels_with_their_riding_places() -> None:
     assert torch.allclose(trace, torch.diagonal(plain.covariances, dim1=1, dim2=2).sum(dim=1), rtol=0.2)
 
 
+def test_a_garment_is_cut_for_its_wearer_unless_it_keeps_its_own_size() -> None:
+    """Edges of a skirt grow with a larger body, and not on the person it was learned from."""
+    assert LOWER.cloth is not None
+    body, large = embedded_body(), np.zeros(10, np.float32)
+    large[0] = 3.0
+    same = LOWER.cloth.graded(body, np.zeros(10, np.float32)).rest_lengths
+    np.testing.assert_array_equal(same, LOWER.cloth.rest_lengths)
+    assert np.median(LOWER.cloth.graded(body, large).rest_lengths / LOWER.cloth.rest_lengths) > 1.05
+    shape = Outfit(body, large, (worn("body"), LOWER))
+    widths = {}
+    for drive in ("simulated", "own-size"):
+        vertices = shape.driven(drive).drivers["lower"]._simulation.positions(POSES, 3)["lower"]  # type: ignore[attr-defined]
+        widths[drive] = np.linalg.norm(np.diff(vertices[LOWER.cloth.faces[:, :2]], axis=1), axis=-1).mean()
+    assert widths["simulated"] > 1.02 * widths["own-size"]
+
+
 def test_rows_in_any_order_are_the_same_bytes() -> None:
     forward, backward = _dressed(), _dressed()
     one = [forward.posed(POSES, row)["lower"].means.numpy().tobytes() for row in (0, 1, 2, 3)]

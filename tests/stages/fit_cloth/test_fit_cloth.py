@@ -12,16 +12,19 @@ from stages.fit_cloth.choice import Agreement, best_material, default_driver
 from stages.fit_cloth.config import FitClothConfig
 from stages.fit_cloth.mesh import pins, with_material, without_loose_pieces
 from stages.fit_cloth.openings import close_holes, highest_rim, rims
-from stages.fit_cloth.outlines import Outlines, OutlineView, draw
+from stages.fit_cloth.outlines import Outlines, outline_view
 from stages.fit_cloth.welding import large_pieces, weld
 from stages.shared.artifacts import Workspace
 from stages.shared.body import embedded_body
 from stages.shared.cloth.material import TIGHT, Material
 from stages.shared.cloth.pattern import ClothPattern
 from stages.shared.errors import UsageProblem
+from stages.shared.layers import NO_LABEL, REGIONS, SKIN
+from stages.shared.meshes import RayScene
 from stages.shared.outfit.trained_subject import TrainedSubject, fitted_cloth
 from tests.shared.outfit.wardrobe import cameras, make_subject
 
+LOWER, OUTER = REGIONS["lower"][0], REGIONS["outer"][0]
 TINY = FitClothConfig(vertices=60, frames=4, detail=0.1, materials=("tight", "flared"))
 
 
@@ -64,15 +67,45 @@ def test_pins_follow_the_rule() -> None:
     assert collar.any() and (jacket[collar, 2] < joints[12, 2]).all()
 
 
+def label_image(scene: RayScene, label: int) -> np.ndarray:
+    """What a camera sees of a mesh: its label, and none elsewhere."""
+    return np.where(scene.render(cameras()[0]).hit, label, NO_LABEL).astype(np.uint8)
+
+
 def test_outlines_tell_how_far_a_garment_is_from_its_place() -> None:
-    camera = cameras()[0]
-    vertices, _ = tube(60, 40)
+    vertices, faces = tube(60, 40)
     places = 0.3 * vertices
-    seen = draw(camera, places, 0.01)
-    assert 20 < seen.sum() < seen.size / 2
-    outlines = Outlines({0: [OutlineView(camera, seen, ~seen)]}, 0.01)
+    labels = label_image(RayScene(places, faces), LOWER)
+    body = RayScene(places * [0.5, 0.9, 0.5], faces)
+    view = outline_view(cameras()[0], labels, "lower", 0.001, body)
+    assert 20 < view.garment.sum() < view.garment.size
+    outlines = Outlines({0: [view]}, faces)
     wrong = [outlines.disagreement(0, places + [shift, 0, 0]) for shift in (0.0, 0.02, 0.05)]
     assert wrong[0] == 0 and wrong[0] < wrong[1] < wrong[2] <= 1
+
+
+def test_a_garment_behind_the_body_is_not_in_its_outline() -> None:
+    vertices, faces = tube(60, 40)
+    places, body = 0.3 * vertices, 0.25 * vertices
+    labels = label_image(RayScene(places, faces), LOWER)
+    outlines = Outlines(
+        {0: [outline_view(cameras()[0], labels, "lower", 0.001, RayScene(body, faces))]}, faces
+    )
+    assert outlines.disagreement(0, places) == 0
+    assert outlines.disagreement(0, 0.15 * vertices) == 1  # the body hides all of it
+
+
+def test_a_garment_may_hide_what_is_worn_over_it_but_nothing_beneath() -> None:
+    vertices, faces = tube(60, 40)
+    places = 0.3 * vertices
+    body = RayScene(0.1 * vertices, faces)
+    wrong = {}
+    for name, label in (("skin", SKIN), ("outer", OUTER)):
+        labels = label_image(RayScene(places, faces), label)
+        labels[: len(labels) // 2][labels[: len(labels) // 2] != NO_LABEL] = LOWER
+        view = outline_view(cameras()[0], labels, "lower", 0.001, body)
+        wrong[name] = Outlines({0: [view]}, faces).disagreement(0, places)
+    assert wrong["outer"] == 0 < wrong["skin"] < 1
 
 
 def test_the_stage_fits_every_garment_and_the_subject_uses_it(tmp_path: Path) -> None:
@@ -107,7 +140,7 @@ def test_an_edge_of_almost_no_length_gets_a_rest_length_that_bundles_allow() -> 
         pinned=np.zeros(4, np.int32), skin_margin=np.zeros(4, np.float32),
         skin_weights=np.zeros((4, 55), np.float32), shape_directions=np.zeros((4, 10, 3), np.float32),
         pose=np.zeros((55, 3), np.float32), texel_faces=np.zeros(4, np.int32),
-        texel_weights=nothing, texel_offsets=nothing, material=TIGHT,
+        texel_weights=nothing, texel_offsets=nothing, material=TIGHT, betas=np.zeros(10, np.float32),
     )  # fmt: skip
     fitted = with_material(pattern, Material(), None, None)  # type: ignore[arg-type]  # a body is for balance alone
     lengths = np.sort(fitted.rest_lengths)

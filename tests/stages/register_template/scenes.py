@@ -14,7 +14,6 @@ from stages.shared.capture import Camera, native_writer
 from stages.shared.capture.landmarks import Landmarks
 from stages.shared.meshes.raycast import RayScene
 
-
 _COLORS = ([200, 150, 120], [200, 40, 40])  # skin, cloth
 
 

@@ -27,10 +27,12 @@ from stages.shared.splat.api import contributions
 
 Item = TypeVar("Item")
 
-LEAST_VIEWS = 2.0  # pictures that must show a texel in full, or more of them in part
+# Pictures that must show a texel in full, or more of them in part; of few pictures a share.
+LEAST_VIEWS, LEAST_SHARE = 2.0, 0.04
 MOST_FRAMES, MOST_CAMERAS = 6, 16
 _WIDENING = 2.0  # of discs: where a surface turns away from the maps, texels lie far apart
 _OPAQUE = 0.99
+_INSET_M = 0.02
 _LEAST_FACING = 0.1  # cosine to the maps' axis
 _PIXELS_PER_TEXEL = 2.0  # at this resolution the share of a texel can be told
 
@@ -44,8 +46,9 @@ def observed_texels(
 ) -> dict[str, Tensor]:
     """(N,) bool per garment: texels that training pictures show, layers moved by the bones alone.
 
-    The shares of a texel's area that the pictures show must add up to `LEAST_VIEWS`. Bones alone let a shirt
-    stick out of its vest in some poses; a picture does not count where its labels show a layer further out.
+    The shares of a texel's area that the pictures show must add up to `LEAST_VIEWS` pictures, or to
+    `LEAST_SHARE` of the pictures where that is less. Bones alone let a shirt stick out of its vest in some
+    poses; a picture does not count where its labels show a layer further out.
     A texel whose neighbours decide otherwise by a majority is decided as they are, which removes speckles.
 
     Arguments:
@@ -57,18 +60,21 @@ def observed_texels(
         name: model.base_opacity.new_zeros(len(model.maps)) for name, model in models.items()
     }
     areas = {name: _texel_areas(model.maps) for name, model in models.items()}
+    pictures = 0
     with torch.no_grad():
         for frame in _some(frames, MOST_FRAMES):
-            posed = {name: _on_bones(model, pose(frame)) for name, model in models.items()}
+            posed = {name: _on_bones(name, model, pose(frame)) for name, model in models.items()}
             for camera in _some(cameras(frame), MOST_CAMERAS):
+                pictures += 1
                 image = labels(frame, camera.name) if labels is not None else None
                 for name, share in _shares(posed, areas, camera).items():
                     uncovered = share.clamp(max=1.0)
                     if image is not None:
                         uncovered = uncovered * ~_covered(posed[name].means, name, camera, image)
                     shares[name] += uncovered
+    least = min(LEAST_VIEWS, LEAST_SHARE * pictures)
     return {
-        name: _majority(share >= LEAST_VIEWS, models[name].maps.neighbours)
+        name: _majority(share >= least, models[name].maps.neighbours)
         for name, share in shares.items()
         if name != BODY
     }
@@ -122,15 +128,19 @@ def _some(items: Sequence[Item], most: int) -> list[Item]:
     return [items[row] for row in rows]
 
 
-def _on_bones(model: Decoder, pose: FramePose) -> PosedGaussians:
-    """The layer's surface without gaps: discs larger than those that are learned, nearly opaque."""
+def _on_bones(layer: str, model: Decoder, pose: FramePose) -> PosedGaussians:
+    """The layer's surface without gaps: discs larger than those that are learned, nearly opaque.
+
+    The body is made thinner: a fitted body and its large discs would cover clothes that lie close to it.
+    """
     attributes = model.attributes(model.base_opacity.new_zeros(len(model.maps), 14))
     closed = replace(
         attributes,
         scales=attributes.scales * attributes.scales.new_tensor([_WIDENING, _WIDENING, 1.0]),
         opacities=torch.full_like(attributes.opacities, _OPAQUE),
     )
-    return pose_layer(model.maps, closed, pose.transforms, pose.betas)
+    posed = pose_layer(model.maps, closed, pose.transforms, pose.betas)
+    return replace(posed, means=posed.means - _INSET_M * posed.normals) if layer == BODY else posed
 
 
 def _texel_areas(maps: LayerMaps) -> Tensor:

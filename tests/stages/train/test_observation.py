@@ -70,6 +70,20 @@ def test_without_the_vest_all_of_the_shirt_is_observed() -> None:
     assert observed(models)["upper"].numpy().mean() > 0.9
 
 
+def test_few_pictures_of_one_frame_are_enough() -> None:
+    """Four cameras show each side of a shirt in one or two pictures, most of them at an angle."""
+    models = shirt_under_vest()
+    del models["outer"]
+    found = observed_texels(models, [0], lambda frame: ring(4), lambda frame: STILL)  # type: ignore[arg-type]
+    assert found["upper"].numpy().mean() > 0.9
+
+
+def test_clothes_that_a_fitted_body_sticks_out_of_are_observed() -> None:
+    maps = {"body": tube("body", radius=0.16), "upper": tube("upper", radius=0.15)}
+    models = {name: new_decoder(one, PLAIN, poses=1) for name, one in maps.items()}
+    assert observed(models)["upper"].numpy().mean() > 0.9
+
+
 def test_unobserved_texels_become_discs_of_the_fabric_without_gaps() -> None:
     models = shirt_under_vest()
     shirt = models["upper"]

@@ -21,7 +21,7 @@ from typing import Any, NoReturn, TypeVar
 import typer
 
 from gw_cli import streams
-from gw_cli.help import HelpGroup
+from gw_cli.help import HelpGroup, usage
 from gw_cli.options import Verbose
 from gw_cli.streams import shown
 from stages.shared.errors import GwError, StorageFailure, UsageProblem
@@ -137,9 +137,9 @@ def _print_misuse(error: Any) -> int:
         streams.write("stdout", error.format_message() + "\n")
         return UsageProblem.exit_code
     name = error.ctx.command_path if error.ctx else "gw"
-    usage = " ".join(error.ctx.get_usage().split()).removeprefix("Usage: ") if error.ctx else name
+    form = usage(error.ctx).removeprefix("Usage: ") if error.ctx else name
     what = " ".join(error.format_message().split())
-    _print_error(UsageProblem(what, name, f"Write: {usage}; {name} --help says more."))
+    _print_error(UsageProblem(what, name, f"Write: {form}; {name} --help says more."))
     return UsageProblem.exit_code
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 import shutil
 import sys
 from collections.abc import Iterable
@@ -62,6 +63,12 @@ def default_text(option: Any) -> str:
     return str(option.opts[0] if value is True else value)
 
 
+def usage(ctx: Any) -> str:
+    """The usage line in one line: an argument that is required has no brackets, an optional one has."""
+    line = re.sub(r"\{([^{}]*)\}", r"\1", " ".join(ctx.get_usage().split()))
+    return line.replace("…...", "…").replace("…]...", "…]")
+
+
 def _help_page(command: Any, ctx: Any) -> str:
     """Usage, description, and a box of arguments, options or commands per subject."""
     width = min(shutil.get_terminal_size().columns, _WIDEST)
@@ -78,7 +85,7 @@ def _help_page(command: Any, ctx: Any) -> str:
             title = getattr(subcommand, "rich_help_panel", None) or "Commands"
             boxes.setdefault(title, []).append((Text(name, "bold cyan"), Text(_first_line(subcommand))))
     with console.capture() as captured:
-        console.print(Text(" ".join(command.get_usage(ctx).split()), "bold"))
+        console.print(Text(usage(ctx), "bold"))
         _print_description(console, inspect.cleandoc(command.help or ""))
         for title, rows in sorted(boxes.items(), key=lambda box: box[0] == GENERAL):
             console.print(_box(title, rows))

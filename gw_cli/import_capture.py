@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from gw_cli.config_options import config_options
 from gw_cli.console import Console, command
 from gw_cli.options import DryRun, Json
+from stages.import_capture.config import PRESETS, ImportConfig
 from stages.shared.errors import UsageProblem
 
 
 def register(app: typer.Typer) -> None:
     @app.command("import")
     @command
+    @config_options(PRESETS)
     def import_capture(
         source: Annotated[
-            Path, typer.Argument(help="Folder with a video, a folder of pictures or a picture a camera.")
+            Path,
+            typer.Argument(
+                metavar="SOURCE", help="Folder with a video, a folder of pictures or a picture a camera."
+            ),
         ],
         output: Annotated[
             Path, typer.Option("--output", "-o", help="Folder of the capture that is written.")
@@ -25,36 +32,12 @@ def register(app: typer.Typer) -> None:
         calibration: Annotated[
             Path | None, typer.Option(help="Calibration file or folder; default: looked for in SOURCE.")
         ] = None,
-        masks: Annotated[str, typer.Option(help="auto | folder | alpha | background | network.")] = "auto",
-        background: Annotated[
-            Path | None, typer.Option(help="Picture, video or folder of the empty scene.")
-        ] = None,
-        up: Annotated[
-            str, typer.Option(help="Axis that points up: auto | +x | -x | +y | -y | +z | -z.")
-        ] = "auto",
-        metres_per_unit: Annotated[
-            float | None, typer.Option(help="Length of the calibration's unit, 0.001 for millimetres.")
-        ] = None,
-        fps: Annotated[
-            float | None, typer.Option(help="Frames per second; default: the videos' own.")
-        ] = None,
         frames: Annotated[str, typer.Option(help="Only these frames, as a slice: 10:200:2.")] = "",
-        test_frames: Annotated[
-            int, typer.Option(min=0, help="The last so many frames become a test take.")
-        ] = 0,
         offset: Annotated[
             list[str] | None,
             typer.Option(help="CAMERA=SECONDS by which its recording begins later; may be repeated."),
         ] = None,
-        held_out: Annotated[str, typer.Option(help="Cameras for judging only: cam03,cam07.")] = "",
-        take: Annotated[str, typer.Option(help="Name of the take.")] = "take",
-        alpha: Annotated[
-            float,
-            typer.Option(min=0, max=1, help="Undistortion: 0 keeps valid pixels only, 1 all of the picture."),
-        ] = 0.0,
-        refine_cameras: Annotated[
-            bool, typer.Option("--refine-cameras", help="Improve the cameras' poses by body landmarks.")
-        ] = False,
+        config: ImportConfig = PRESETS["draft"],
         dry_run: DryRun = False,
         as_json: Json = False,
     ) -> None:
@@ -65,24 +48,10 @@ def register(app: typer.Typer) -> None:
         mask.
         """
         console = Console(as_json)
+        config = replace(config, frames=_slice(frames), offsets=dict(_offset(text) for text in offset or ()))
         console.loading()
         from stages.import_capture import stage
-        from stages.import_capture.config import ImportConfig
 
-        config = ImportConfig(
-            take=take,
-            fps=fps,
-            frames=_slice(frames),
-            test_frames=test_frames,
-            offsets=dict(_offset(text) for text in offset or ()),
-            held_out=tuple(name.strip() for name in held_out.split(",") if name.strip()),
-            up=up,
-            metres_per_unit=metres_per_unit,
-            alpha=alpha,
-            masks=masks,
-            background=background,
-            refine_cameras=refine_cameras,
-        )
         if dry_run:
             console.plan(stage.plan(source, output, config, calibration))
             return

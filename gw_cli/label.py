@@ -8,20 +8,23 @@ from typing import Annotated
 
 import typer
 
+from gw_cli.config_options import config_options
 from gw_cli.console import Console, command
 from gw_cli.inputs import check_exists, check_inputs_of
 from gw_cli.options import DryRun, Force, Json, Subject
+from stages.label.config import PRESETS, LabelConfig
 
 
 def register(app: typer.Typer) -> None:
     @app.command("label")
     @command
+    @config_options(PRESETS)
     def label(
         subject: Subject,
         strokes: Annotated[
             Path | None, typer.Option(help="JSON file of strokes that correct the guess (docs/formats.md).")
         ] = None,
-        smoothness: Annotated[float, typer.Option(min=0.0, help="How much a border of labels costs.")] = 2.0,
+        config: LabelConfig = PRESETS["draft"],
         force: Force = False,
         dry_run: DryRun = False,
         as_json: Json = False,
@@ -32,13 +35,11 @@ def register(app: typer.Typer) -> None:
         the colour of the skin, and a graph cut finds the borders. Strokes correct it. Only the frame of the
         template is labelled; the stages that follow read these labels in place of the capture's.
         """
-        from stages.label.config import LabelConfig
         from stages.label.strokes import read_strokes
 
         console = Console(as_json)
         check_exists(strokes, "stroke file")
         check_inputs_of("label", subject)
-        config = LabelConfig(smoothness=smoothness)
         if strokes is not None:
             config = replace(config, strokes=read_strokes(strokes))
 

@@ -16,7 +16,7 @@ def register(app: typer.Typer) -> None:
     @command
     def pipeline(
         captures: Annotated[
-            list[Path] | None, typer.Argument(help="Folders of captures.", metavar="[CAPTURE]...")
+            list[Path] | None, typer.Argument(help="Folders of captures.", metavar="CAPTURE …")
         ] = None,
         emit: Annotated[
             str | None, typer.Option(help="snakefile: write a workflow instead of listing the stages.")

@@ -22,6 +22,7 @@ def register(app: typer.Typer) -> None:
         path: Annotated[
             Path,
             typer.Argument(
+                metavar="PATH",
                 help="Workspace folder of a subject, a bundle (.gwg), or a splat file (.ply, .spz, .glb).",
                 autocompletion=artifacts,
             ),

@@ -4,24 +4,26 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from stages.shared.option import option
+
 
 @dataclass(frozen=True)
 class FitClothConfig:
-    """How garments are prepared for simulation.
+    """How garments are prepared for simulation. Declared fields have their help in their metadata.
 
     Attributes:
-        vertices: of each simulation mesh, about.
         frames: at most so many frames of the take are simulated, from its first.
         parts: parts of the take, each left out in turn when drivers are compared.
         detail: simulation steps over those of the materials, while fitting.
-        materials: names of the candidates to try, of `materials.CANDIDATES`.
     """
 
-    vertices: int = 1100
+    vertices: int = option(1100, "Vertices of each simulation mesh, about.", min=30)
     frames: int = 300
     parts: int = 4
     detail: float = 1.0
-    materials: tuple[str, ...] = ("tight", "stiff", "light_knit", "flared", "full_skirt")
+    materials: tuple[str, ...] = option(
+        ("tight", "stiff", "light_knit", "flared", "full_skirt"), "Materials to try, separated by commas."
+    )
 
 
 PRESETS: dict[str, FitClothConfig] = {

@@ -4,21 +4,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from stages.shared.option import option
+
 
 @dataclass(frozen=True)
 class LabelConfig:
-    """How the surface of the template is labelled.
+    """How the surface of the template is labelled. Declared fields have their help in their metadata.
 
     Attributes:
         strokes: corrections, as `strokes.read_strokes` gives them; they count as certain.
-        smoothness: cost of a label border, per edge of the template, where shape and colour do not change.
         rounds: how often colours are learned from the labels and labels are cut again.
         smallest_island_m2: patches of a label smaller than this take the label around them.
         smallest_share: a garment covering less of the template's area than this is not there.
     """
 
     strokes: tuple[Stroke, ...] = ()
-    smoothness: float = 2.0
+    smoothness: float = option(2.0, "How much a border of labels costs.", min=0)
     rounds: int = 3
     smallest_island_m2: float = 0.002
     smallest_share: float = 0.005

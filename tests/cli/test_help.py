@@ -44,6 +44,11 @@ def test_commands_stand_in_three_groups() -> None:
     assert page.index("│ tryon") > page.index("─ Wear") > page.index("│ train")
 
 
+def test_usage_brackets_only_what_may_be_left_out() -> None:
+    assert "gw label [OPTIONS] SUBJECT\n" in _help("label", "--help").replace("python -m gw_cli", "gw")
+    assert all("{" not in _help(*words, "--help").splitlines()[0] for words, _ in COMMANDS)
+
+
 @pytest.mark.parametrize("words", [(), ("wardrobe",), ("bench",)])
 def test_a_group_without_a_command_prints_its_help_once(words: tuple[str, ...]) -> None:
     page = _help(*words)

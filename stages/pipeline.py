@@ -13,7 +13,7 @@ SEGMENT_LAYERS = StageSpec(
 )
 BAKE_MAPS = StageSpec("bake-maps", "gw bake-maps SUBJECT", ("canonicalize", "segment-layers"), code_version=2)
 LABEL = StageSpec("label", "gw label SUBJECT", ("register-template",))
-TRAIN = StageSpec("train", "gw train SUBJECT", ("register-template", "bake-maps"), code_version=8)
+TRAIN = StageSpec("train", "gw train SUBJECT", ("register-template", "bake-maps"), code_version=9)
 DISTILL = StageSpec(
     "distill", "gw distill SUBJECT", ("register-template", "bake-maps", "train"), code_version=2
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -16,6 +17,7 @@ from stages.shared.body import BodyModel, Poses, posed_from_canonical, skin
 from stages.shared.body.posed import pose_tensors
 from stages.shared.capture import Take
 from stages.shared.capture.camera import Box, Camera
+from stages.shared.capture.exposure import Exposure
 from stages.shared.layers import NO_LABEL
 from stages.shared.meshes.raycast import RayScene
 from stages.shared.outfit.outfit import Outfit
@@ -121,10 +123,13 @@ class TrainedMethod:
 
     Arguments:
         outfit: the subject in its own clothes. drive: as `Outfit.driven` takes it.
+        exposures: of cameras that were learned from; another camera shows the colours as they were learned.
     """
 
-    def __init__(self, outfit: Outfit, drive: str = "learned") -> None:
-        self.outfit = outfit
+    def __init__(
+        self, outfit: Outfit, drive: str = "learned", exposures: Mapping[str, Exposure] = {}
+    ) -> None:
+        self.outfit, self._exposures = outfit, exposures
         self._by_split = {"train": outfit.driven(drive, trained_poses=True), "test": outfit.driven(drive)}
 
     def pose(self, views: FrameViews) -> None:
@@ -137,7 +142,10 @@ class TrainedMethod:
 
     def render(self, camera: Camera) -> Rendered:
         shot = render_image(self._composite, camera)
-        return shot.on((0.0, 0.0, 0.0)), shot.alpha, shot.labels
+        picture, exposure = shot.on((0.0, 0.0, 0.0)), self._exposures.get(camera.name)
+        if exposure is not None:
+            picture = exposure.applied(picture, shot.alpha)
+        return picture, shot.alpha, shot.labels
 
 
 class BaselineMethod:

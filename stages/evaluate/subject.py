@@ -120,7 +120,7 @@ class SubjectSource(Source):
             if name in self.config.methods:
                 maps, trained = self.artifacts[BAKE_MAPS.name], self.artifacts[spec.name]
                 learned = TrainedSubject(registered, maps, trained, self.artifacts.get(FIT_CLOTH.name))
-                methods[name] = TrainedMethod(learned.outfit(), self.config.drive)
+                methods[name] = TrainedMethod(learned.outfit(), self.config.drive, learned.exposures)
         if "baseline" in self.config.methods:
             betas = load_poses(registered.file("smpl_params.npz"), self.body).betas
             baseline = Baseline.load(self.artifacts[SEGMENT_LAYERS.name], self.body, betas)

@@ -103,6 +103,7 @@ class TrainConfig:
         image_scale: size of the pictures learned from, 1 is the capture's. coarse_scale, coarse_until:
             smaller pictures up to this share of the run. patch: px, side of the window of each picture that
             a step sees (`stages/train/random_crop.py`); 0 for whole pictures.
+        exposure: "auto" takes out of the pictures what makes one camera's colours differ from the others'.
         flow_until: share of the run in which the flow term is on, where garments are not tracked.
         stage_two: share of the run after which penetration, smoothing and the face's LPIPS are on.
         rate_end: learning rates end (cosine) at this share of their start.
@@ -138,6 +139,12 @@ class TrainConfig:
         "edges of garments are; 0 for whole images. For large images.",
         min=0, metavar="PX", omit_default=True,
     )  # fmt: skip
+    exposure: str = option(
+        "auto",
+        "auto: colours are learned as the median camera shows them; gain and offset of cameras that differ "
+        "are stored | off.",
+        choices=("auto", "off"),
+    )
     flow_until: float = 0.6
     stage_two: float = 0.2
     rate_end: float = 0.05

@@ -13,10 +13,12 @@ from stages.shared.artifacts import Artifact, ExternalFiles, Workspace
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.body import BodyModel, Poses
 from stages.shared.capture import Capture, Take
+from stages.shared.capture.exposure import Exposure, solve_exposures
 from stages.shared.capture.subject import open_subject_capture
 from stages.shared.capture.template_views import capture_files
 from stages.shared.errors import MissingInput, UsageProblem
 from stages.shared.layers import in_order
+from stages.shared.meshes.mesh import Mesh
 from stages.shared.poses import load_poses
 from stages.train.config import ALL_TAKES, TrainConfig
 from stages.train.methods import Method, MethodLayers, method_called
@@ -63,6 +65,14 @@ class Source:
     def template_frame(self) -> int:
         """Number of the frame that the template was made from."""
         return int(self.registered.summary.get("frame", 0))
+
+    def exposures(self, config: TrainConfig) -> dict[str, Exposure]:
+        """What makes cameras differ from the others in the template's frame; empty with exposure "off"."""
+        if config.exposure == "off":
+            return {}
+        template = self.registered.arrays("template")
+        surface = Mesh(template["vertices"], template["faces"])
+        return solve_exposures(self.sequence.takes[0], self.template_frame, surface)
 
     def maps_to_store(self) -> dict[str, dict[str, np.ndarray]]:
         """Arrays of the maps that differ from those of bake-maps, by layer."""

@@ -10,6 +10,7 @@ Writes:
     `<layer>.safetensors`: base attributes (N, …) f32 per texel and decoder weights (`Decoder.state`).
     `model.json`: {"layers": {name: `Decoder.config`}}, inner to outer; "grids" of maps that differ.
     `maps-<layer>.safetensors`: of layers with other maps than those of bake-maps.
+    `exposure.json`: {camera: {"gain", "offset"}} of cameras that differ from the others (`exposure.py`).
     `metrics.jsonl`: one line per few steps: losses, gradient norm, seconds by part.
     `previews/*.png`: truth | render | labels.
 """
@@ -32,6 +33,7 @@ from stages.shared.avatar.decoders.base import Decoder
 from stages.shared.avatar.decoders.cost import costs
 from stages.shared.avatar.decoders.registry import new_decoder
 from stages.shared.avatar.maps import LayerMaps
+from stages.shared.capture.exposure import exposures_json
 from stages.shared.errors import UsageProblem
 from stages.shared.losses.perceptual import SMALLEST_SIDE, Perceptual
 from stages.shared.plan import Plan
@@ -192,7 +194,8 @@ def make_trainer(
             models[name] = warm_started(start.layers[name], config.model, device)
         else:
             models[name] = new_decoder(maps.to(device), config.model, poses, config.seed + index).to(device)
-    views = TrainingViews(source.sequence, source.poses, source.body, list(layers), source.method)
+    exposures = source.exposures(config)
+    views = TrainingViews(source.sequence, source.poses, source.body, list(layers), source.method, exposures)
     perceptual = Perceptual.load(perceptual_weights) if perceptual_weights else None
     return Trainer(config, models, views, device, perceptual, source.template_frame, pretrained, processes)
 
@@ -212,6 +215,8 @@ def _learn(
         watch.layer_ids = source.layers.layer_ids
     with tensorboard_logger(tensorboard_root if first else None, progress, state.step, report) as board:
         learn(trainer, progress, state, report, watch if first else None, board)
+    if differ := trainer.views.exposures:
+        report.say(f"colours of {', '.join(differ)} differ from the other cameras'; this is taken out")
     if blank := trainer.views.blank_views():
         report.warn(f"views that show nobody were left out ({blank})")
     if first:
@@ -253,6 +258,7 @@ def _write(build: Build, source: Source, trainer: Trainer, state: RunState, prog
     configs = {name: model.config for name, model in trainer.models.items()}
     grids = {"grids": source.warm_start.grids} if source.warm_start.layers else {}
     build.write_json("model.json", {"layers": configs, "method": trainer.config.method, **grids})
+    build.write_json("exposure.json", exposures_json(trainer.views.exposures))
     build.write_record(METRICS_NAME, (progress.path / METRICS_NAME).read_bytes())
     for picture in sorted((progress.path / "previews").glob("*.png")):
         build.write_record(f"previews/{picture.name}", picture.read_bytes())

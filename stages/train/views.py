@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -23,6 +23,7 @@ from torch import Tensor
 from stages.shared.body import BodyModel, Poses, posed_vertices
 from stages.shared.body.posed import pose_tensors
 from stages.shared.capture import Camera
+from stages.shared.capture.exposure import Exposure
 from stages.shared.capture.take import MASK_THRESHOLD, box_around
 from stages.shared.errors import MissingInput
 from stages.shared.layers import BODY, NO_LABEL
@@ -97,7 +98,7 @@ class TrainingViews:
         sequence: the takes. poses: row = frame number. body: model of the poses.
         layers: names, inner to outer; labels of other layers count as unknown.
         method: says which labels show which layer.
-        cache_bytes: most memory for decoded crops.
+        exposures: camera to what its colours are freed of. cache_bytes: most memory for decoded crops.
     """
 
     margin = _MARGIN  # px around the subject, where pictures are cut
@@ -109,10 +110,11 @@ class TrainingViews:
         body: BodyModel,
         layers: Sequence[str],
         method: Method = METHODS[DEFAULT_METHOD],
+        exposures: Mapping[str, Exposure] = {},
         cache_bytes: int = CACHE_BYTES,
     ) -> None:
         self.sequence, self.poses, self.body, self.layers = sequence, poses, body, tuple(layers)
-        self.cache_bytes = cache_bytes
+        self.exposures, self.cache_bytes = exposures, cache_bytes
         self._cached_bytes = 0
         self._cache_lock = threading.Lock()
         self._posed: dict[int, NDArray[np.float32]] = {}
@@ -216,9 +218,10 @@ class TrainingViews:
         silhouette = rasterize_silhouette(self._body_vertices(frame), self.body.faces, view_camera)
         if BODY in self.layers:  # hair and shoes are part of the body, but not of the body model
             silhouette |= layer == self.layers.index(BODY)
-        return _Crop(
-            view_camera, self.sequence.image(camera, frame)[inside].copy(), mask.copy(), layer, silhouette
-        )
+        image = self.sequence.image(camera, frame)[inside].copy()
+        if camera in self.exposures:
+            image = self.exposures[camera].removed(image)
+        return _Crop(view_camera, image, mask.copy(), layer, silhouette)
 
     def _body_vertices(self, frame: int) -> NDArray[np.float32]:
         if frame not in self._posed:

@@ -8,6 +8,7 @@ from pathlib import Path
 from stages.pipeline import BAKE_MAPS, DISTILL, FIT_CLOTH, REGISTER_TEMPLATE, TRAIN
 from stages.shared.artifacts import Artifact, Workspace
 from stages.shared.body import BodyModel, Poses
+from stages.shared.capture.exposure import Exposure, read_exposures
 from stages.shared.layers import BASELINE_LAYERS, LAYERS
 from stages.shared.outfit.layer import WornLayer, layer_of_training, with_cloth
 from stages.shared.outfit.outfit import Outfit
@@ -62,6 +63,14 @@ class TrainedSubject:
         """Digest of every artifact by stage."""
         parts = (*self.artifacts, *(() if self.cloth is None else (self.cloth,)))
         return {part.stage: part.digest for part in parts}
+
+    @property
+    def exposures(self) -> dict[str, Exposure]:
+        """What training cameras do to the colours; empty where they are alike, and after distillation."""
+        name = "exposure.json"
+        if not (self.trained.path / name).is_file():
+            return {}
+        return read_exposures(self.trained.json(name), str(self.trained.path / name))
 
     @property
     def layers(self) -> list[str]:

@@ -142,6 +142,8 @@ def _workspace(
     with workspace.build(REGISTER_TEMPLATE, {}, {}) as registered:
         registered.write_bytes("smpl_params.npz", motion.to_npz_bytes())
         registered.write_arrays("body", body.to_arrays())
+        corner = np.eye(3, dtype=np.float32)  # too little of a surface to compare the cameras' colours by
+        registered.write_arrays("template", {"vertices": corner, "faces": np.array([[0, 1, 2]], np.int32)})
         registered.summary(take="moves", frame=0)
     with workspace.build(BAKE_MAPS, {}, {"register-template": registered.artifact}) as baked:
         for name, values in arrays.items():

@@ -10,6 +10,7 @@ import pytest
 
 from stages.shared.body import embedded_body
 from stages.shared.capture import Camera, open_capture
+from stages.shared.capture.exposure import Exposure
 from stages.shared.losses.picture import rasterize_silhouette
 from stages.train import schedule
 from stages.train.config import PRESETS, LossWeights, TrainConfig
@@ -85,6 +86,17 @@ def test_crops_agree_with_the_whole_picture(tmp_path: Path) -> None:
     assert known.sum() > 0.5 * known.size and not known[~(view.valid.numpy() > 0)].any()
     small = views.view(1, "cam1", 0.5)
     assert small.image.shape[:2] == (small.camera.height, small.camera.width) == small.silhouette.shape
+
+
+def test_pictures_are_freed_of_their_cameras_exposure(tmp_path: Path) -> None:
+    make_subject(tmp_path)
+    take = open_capture(tmp_path / "capture").training_takes[0]
+    bright = {"cam1": Exposure((2.0, 2.0, 2.0), (0.0, 0.0, 0.0))}
+    args = (TakeSequence((take,)), poses(), embedded_body(), ["body", "upper"])
+    plain, freed = TrainingViews(*args), TrainingViews(*args, exposures=bright)
+    halved = freed.view(1, "cam1").image.numpy() - plain.view(1, "cam1").image.numpy() / 2
+    assert np.abs(halved).max() <= 1 / 255
+    assert np.array_equal(freed.view(1, "cam0").image, plain.view(1, "cam0").image)
 
 
 def test_cache_stays_within_its_bound(tmp_path: Path) -> None:

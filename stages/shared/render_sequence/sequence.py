@@ -9,9 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
+from stages.shared.artifacts import Workspace
 from stages.shared.artifacts.canonical import KEY_LENGTH, canonical_json, digest
-from stages.shared.body import Poses, canonical_poses
-from stages.shared.capture import Take, open_capture
+from stages.shared.body import BodyModel, Poses, canonical_poses
+from stages.shared.capture import Capture, Take, open_capture
+from stages.shared.capture.subject import open_subject_capture
 from stages.shared.errors import MissingInput, UsageProblem
 from stages.shared.input_files import CANONICAL
 from stages.shared.outfit.outfit import Outfit, outfit_of_bundles
@@ -71,7 +73,7 @@ def open_sequence(
         outfit = select_layers(outfit, config.layers)
     take = None
     if cameras_path is not None:
-        capture = open_capture(cameras_path, body=outfit.body_model)
+        capture = _shown_capture(cameras_path, sources[0], outfit.body_model, poses_path is None)
         take = capture_take(capture, config.take or None)
     if poses_path is not None and poses_path == Path(CANONICAL):
         poses = canonical_poses(1 if config.camera in ("", "static") else _STILL_FRAMES)
@@ -141,6 +143,15 @@ def _open_outfit(
     subject = TrainedSubject.open(folders[0], config.distilled)
     outfit, digests = subject.outfit(), subject.digests
     return outfit if betas is None else replace(outfit, betas=betas), subject.poses(), digests
+
+
+def _shown_capture(path: Path, source: Path, body: BodyModel, needs_poses: bool) -> Capture:
+    """The capture whose cameras are used; the subject's own has the poses that were fitted to it."""
+    workspace = Workspace(source)
+    own = workspace.settings().get("capture") if source.is_dir() else None
+    if own and workspace.setting_path("capture").resolve() == path.resolve():
+        return open_subject_capture(workspace, body)
+    return open_capture(path, body=body, poses_needed=needs_poses)
 
 
 def _frames(outfit: Outfit, poses: Poses, take: Take | None, config: RenderConfig) -> list[SequenceFrame]:

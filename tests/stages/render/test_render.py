@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import cv2
@@ -12,6 +13,7 @@ from typer.testing import CliRunner
 
 from gw_cli.app import app
 from stages.render import stage
+from stages.shared.artifacts import Workspace
 from stages.shared.errors import MissingInput, UsageProblem
 from stages.shared.outfit.cached_poser import CachedPoser
 from stages.shared.outfit.render_image import render_image
@@ -39,6 +41,24 @@ def test_cameras_of_a_capture(dressed_subject: Path, tmp_path: Path) -> None:
     assert np.array_equal(frame[..., [2, 1, 0, 3]], shot.straight())
     labels = cv2.imread(str(out / "labels/cam2/000003.png"), cv2.IMREAD_UNCHANGED)
     assert np.array_equal(labels, shot.labels)
+
+
+def test_cameras_of_a_capture_whose_poses_were_fitted(dressed_subject: Path, tmp_path: Path) -> None:
+    """The subject's own capture has the poses that were fitted; any other needs none with a motion."""
+    shutil.copytree(dressed_subject.parent, tmp_path / "copy")
+    subject, capture = tmp_path / "copy" / dressed_subject.name, tmp_path / "copy" / "capture"
+    (tmp_path / "fitted").mkdir()
+    for name in ("moves", "other"):
+        shutil.move(capture / "takes" / name / "smpl_params.npz", tmp_path / "fitted" / f"{name}.npz")
+    Workspace(subject).save_settings(capture=capture, fitted_poses=tmp_path / "fitted")
+    config = RenderConfig(take="other", frames="1:2", penetration=False)
+    result = stage.run([subject], None, capture, tmp_path / "out", config)
+    assert result.summary["pictures"] == 3
+    Workspace(subject).save_settings(capture=dressed_subject.parent / "capture", fitted_poses="")
+    motion_file = tmp_path / "fitted" / "other.npz"
+    assert stage.run([subject], motion_file, capture, tmp_path / "two", config).summary["pictures"] == 3
+    with pytest.raises(MissingInput, match="no body poses"):
+        stage.run([subject], None, capture, tmp_path / "three", config)
 
 
 def test_one_camera_and_some_layers(dressed_subject: Path, wardrobe: Path, tmp_path: Path) -> None:

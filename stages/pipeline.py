@@ -21,7 +21,7 @@ FIT_CLOTH = StageSpec(
     "fit-cloth",
     "gw fit-cloth SUBJECT",
     ("register-template", "segment-layers", "bake-maps", "train"),
-    code_version=6,
+    code_version=7,
 )
 
 PIPELINE: tuple[StageSpec, ...] = (REGISTER_TEMPLATE, CANONICALIZE, SEGMENT_LAYERS, BAKE_MAPS, TRAIN)

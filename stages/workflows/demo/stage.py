@@ -21,6 +21,7 @@ from pathlib import Path
 from threading import Event, Lock
 from typing import Any
 
+from stages.pipeline import BY_NAME
 from stages.shared.artifacts import write_whole
 from stages.shared.artifacts.files import make_folders
 from stages.shared.plan import Plan
@@ -141,9 +142,14 @@ class _Runner:
 
 
 def _key(previous: str, step: DemoStep, result: dict[str, Any] | None = None) -> str:
-    """Chain of hashes over commands and their results, so that a change reruns all that follows."""
+    """Chain of hashes over commands and their results, so that a change reruns all that follows.
+
+    A stage whose code has changed runs again, too.
+    """
+    spec = BY_NAME.get(step.arguments[0])
+    code_version = None if spec is None else spec.code_version
     content = {name: value for name, value in (result or {}).items() if name not in _PASSING}
-    text = json.dumps([previous, step.command, content], sort_keys=True, default=str)
+    text = json.dumps([previous, step.command, code_version, content], sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from threading import Event
 
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 from gw_cli.child import CommandFailed, run_command
+from stages.pipeline import BY_NAME, FIT_CLOTH
 from stages.shared.errors import BadData
 from stages.workflows.command import Outcome
 from stages.workflows.demo import stage
@@ -58,6 +60,18 @@ def test_another_seed_runs_everything_again(tmp_path: Path, ran: Recorder) -> No
     ran.commands.clear()
     stage.run(tmp_path, DemoConfig(seed=1), ran)
     assert len(ran.commands) == len(steps(DemoConfig()))
+
+
+def test_a_stage_with_new_code_runs_again(
+    tmp_path: Path, ran: Recorder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stage.run(tmp_path, DemoConfig(), ran)
+    ran.commands.clear()
+    newer = replace(FIT_CLOTH, code_version=FIT_CLOTH.code_version + 1)
+    monkeypatch.setitem(BY_NAME, FIT_CLOTH.name, newer)
+    stage.run(tmp_path, DemoConfig(), ran)
+    assert "fit-cloth" in {command.split()[1] for command in ran.commands}
+    assert not {"synth", "train"} & {command.split()[1] for command in ran.commands}
 
 
 def test_a_lost_output_runs_its_step_again(tmp_path: Path, ran: Recorder) -> None:

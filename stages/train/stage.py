@@ -34,6 +34,7 @@ from stages.shared.avatar.decoders.cost import costs
 from stages.shared.avatar.decoders.registry import new_decoder
 from stages.shared.avatar.maps import LayerMaps
 from stages.shared.capture.exposure import exposures_json
+from stages.shared.determinism import deterministic_sums
 from stages.shared.errors import UsageProblem
 from stages.shared.losses.perceptual import SMALLEST_SIDE, Perceptual
 from stages.shared.plan import Plan
@@ -90,7 +91,8 @@ def run(
     resolved, device = resolve(config, source), device_called(config.device)
     _say_what_differs(report, source, resolved, perceptual_weights)
     require_room(workspace.root, estimate.disk_bytes(source.layers.maps, resolved))
-    with guard_memory(resolved, source, device, lambda: smaller_runs(resolved, source)):
+    out_of_memory = guard_memory(resolved, source, device, lambda: smaller_runs(resolved, source))
+    with out_of_memory, deterministic_sums(device):
         trainer = make_trainer(source, resolved, device, perceptual_weights, processes)
         with _progress_folder(workspace, config, source, force, processes) as progress:
             state = checkpoint.resume(progress, trainer, report)

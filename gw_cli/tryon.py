@@ -94,8 +94,9 @@ def register(app: typer.Typer) -> None:
             _check_tradeoff(tradeoff, bundles, wardrobe, outfit)
             bundles, chosen = _operating_point(tradeoff, config.fps, quality)  # type: ignore[arg-type]
             console.say(chosen["given_up"])
-        bundles, file_betas = _bundles(bundles or [], wardrobe, outfit)
-        config = replace(config, betas=config.betas or file_betas)
+        bundles, file_betas, file_drive = _bundles(bundles or [], wardrobe, outfit)
+        drive = file_drive if config.drive == "auto" else config.drive
+        config = replace(config, betas=config.betas or file_betas, drive=drive)
         if save_outfit is not None:
             check_file_target(save_outfit, "--save-outfit outfit.json")
         check_poses([poses])
@@ -108,7 +109,7 @@ def register(app: typer.Typer) -> None:
             console.plan(stage.plan(bundles, poses, output, config))
             return
         if save_outfit is not None:
-            _save(save_outfit, bundles, config.betas)
+            _save(save_outfit, bundles, config.betas, config.drive)
         result = stage.run(bundles, poses, output, config, console)
         shown = {"path": result.path, **chosen, **result.summary}
         if not result.complete:
@@ -165,8 +166,8 @@ def _decibels(text: str) -> float:
     return loss
 
 
-def _bundles(named: list[Path], wardrobe: Path | None, outfit: str) -> tuple[list[Path], str]:
-    """The bundles that are meant, and the shape that an outfit file asks for."""
+def _bundles(named: list[Path], wardrobe: Path | None, outfit: str) -> tuple[list[Path], str, str]:
+    """The bundles that are meant, and the shape and the drive that an outfit file asks for."""
     from stages.shared.outfit.wardrobe import chosen_pieces, open_outfit
 
     if bool(named) == bool(outfit) or (wardrobe is not None and not outfit):
@@ -176,19 +177,19 @@ def _bundles(named: list[Path], wardrobe: Path | None, outfit: str) -> tuple[lis
             "Name the bundles, or give --wardrobe DIR --outfit a,b,c, or --outfit FILE.json.",
         )
     if named:
-        return named, ""
+        return named, "", "auto"
     if outfit.endswith(".json"):
         return open_outfit(Path(outfit), wardrobe)
     if wardrobe is None:
         raise UsageProblem(
             "There is no wardrobe to choose from.", "option --wardrobe", "Give --wardrobe DIR with --outfit."
         )
-    return chosen_pieces(wardrobe, names(outfit)), ""
+    return chosen_pieces(wardrobe, names(outfit)), "", "auto"
 
 
-def _save(path: Path, bundles: list[Path], betas: str) -> None:
+def _save(path: Path, bundles: list[Path], betas: str, drive: str) -> None:
     from stages.shared.outfit.sources import parse_betas
     from stages.shared.outfit.wardrobe import save_outfit
 
     shape = parse_betas(betas)
-    save_outfit(path, bundles, None if shape is None else shape.tolist())
+    save_outfit(path, bundles, None if shape is None else shape.tolist(), drive)

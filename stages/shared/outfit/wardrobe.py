@@ -2,7 +2,8 @@
 
 DIR/NAME.gwg            a body or a garment
 DIR/previews/NAME.png   (H, W, 3) u8, its picture
-outfit.json             {"format": "gw-outfit", "version": 1, "pieces": [{"name", "digest"}], "betas"}
+outfit.json             {"format": "gw-outfit", "version": 1, "pieces": [{"name", "digest"}],
+                         "betas", "drive"}
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from stages.shared.input_files import read_json
 from stages.shared.outfit.describe import fit
 
 OUTFIT_FORMAT = "gw-outfit"
+_LONGEST_DRIVE = 200
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
 _MAX_OUTFIT_BYTES = 1 << 16
 _MAX_PIECES = 16
@@ -165,16 +167,18 @@ def _card(piece: Piece) -> BundleCard:
     return piece.card
 
 
-def save_outfit(path: Path, bundles: Sequence[Path], betas: Sequence[float] | None = None) -> None:
-    """Write an outfit file that names these bundles by digest."""
+def save_outfit(
+    path: Path, bundles: Sequence[Path], betas: Sequence[float] | None = None, drive: str = "auto"
+) -> None:
+    """Write an outfit file that names these bundles by digest; `drive` as `--drive` takes it."""
     named = [{"name": bundle.stem, "digest": read_card(bundle).digest} for bundle in bundles]
     shape = None if betas is None else [float(value) for value in betas]
-    content = {"format": OUTFIT_FORMAT, "version": 1, "pieces": named, "betas": shape}
+    content = {"format": OUTFIT_FORMAT, "version": 1, "pieces": named, "betas": shape, "drive": drive}
     write_whole(path, readable_json(content))
 
 
-def open_outfit(path: Path, folder: Path | None = None) -> tuple[list[Path], str]:
-    """The bundles an outfit file names, found by digest in a wardrobe (its own folder); and its betas.
+def open_outfit(path: Path, folder: Path | None = None) -> tuple[list[Path], str, str]:
+    """The bundles an outfit file names, found by digest in a wardrobe (its own folder); its betas and drive.
 
     Raises:
         MissingInput: no such file, or a piece is not in the wardrobe. BadData: it is no outfit.
@@ -195,7 +199,8 @@ def open_outfit(path: Path, folder: Path | None = None) -> tuple[list[Path], str
             )
         found.append(piece.path)
     betas = content.get("betas")
-    return found, "" if betas is None else ",".join(f"{value:.9g}" for value in betas)
+    shape = "" if betas is None else ",".join(f"{value:.9g}" for value in betas)
+    return found, shape, content.get("drive", "auto")
 
 
 def _read_outfit(path: Path) -> dict[str, Any]:
@@ -220,6 +225,9 @@ def _read_outfit(path: Path) -> dict[str, Any]:
     numbers = isinstance(betas, list) and all(type(value) in (int, float) for value in betas)
     if betas is not None and (not numbers or not 1 <= len(betas) <= 10):
         raise wrong("betas are not up to ten numbers")
+    drive = content.get("drive", "auto")
+    if not isinstance(drive, str) or len(drive) > _LONGEST_DRIVE:
+        raise wrong("drive is no short text, such as auto or lower=simulated,upper=bones")
     return content
 
 

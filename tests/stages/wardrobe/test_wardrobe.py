@@ -125,10 +125,11 @@ def test_tryon_from_a_wardrobe_and_from_an_outfit_file(closet: Path, wardrobe: P
     plain = run("tryon", wardrobe / "body.gwg", wardrobe / "upper.gwg", *motion, "-o", tmp_path / "a")
     named = run(
         *("tryon", "--wardrobe", closet, "--outfit", "body,upper", *motion, "-o", tmp_path / "b"),
-        *("--save-outfit", tmp_path / "o.json", "--betas", "1,-0.5"),
+        *("--save-outfit", tmp_path / "o.json", "--betas", "1,-0.5", "--drive", "upper=bones"),
     )
     saved = json.loads((tmp_path / "o.json").read_text())
     assert [piece["name"] for piece in saved["pieces"]] == ["body", "upper"]
+    assert saved["drive"] == "upper=bones"
     assert str(tmp_path) not in (tmp_path / "o.json").read_text()
     (closet / "upper.gwg").rename(closet / "renamed.gwg")  # found by digest, not by name
     again = run(
@@ -137,6 +138,11 @@ def test_tryon_from_a_wardrobe_and_from_an_outfit_file(closet: Path, wardrobe: P
     assert plain["bundles"] == named["bundles"] == again["bundles"] and again["betas"] == named["betas"]
     frames = [(tmp_path / folder / "frames/000002.png").read_bytes() for folder in "abc"]
     assert frames[1] == frames[2] != frames[0]
+    (tmp_path / "o.json").write_text(json.dumps({**saved, "drive": "hat=bones"}))
+    wrong = ("tryon", "--wardrobe", closet, "--outfit", tmp_path / "o.json", *motion, "-o", tmp_path / "d")
+    assert "no garment 'hat'" in run(*wrong, code=2)["error"]
+    own = run(*wrong, "--drive", "learned")  # an option goes before the file
+    assert own["bundles"] == again["bundles"]
 
 
 def test_an_outfit_whose_piece_changed_is_refused(closet: Path, wardrobe: Path, tmp_path: Path) -> None:
@@ -148,8 +154,10 @@ def test_an_outfit_whose_piece_changed_is_refused(closet: Path, wardrobe: Path, 
     )
     shutil.copyfile(closet / "lower.gwg", closet / "upper.gwg")
     assert "holds something else" in run("tryon", "--outfit", outfit, *motion, code=66)["error"]
+    piece = f'{{"name":"x","digest":"{"0" * 64}"}}'
     for text in ("", "{}", '{"format":"gw-outfit","version":2}', "[" * 100_000, '{"format":NaN}',
-                 '{"format":"gw-outfit","version":1,"pieces":[{"name":"x","digest":"../x"}]}'):  # fmt: skip
+                 '{"format":"gw-outfit","version":1,"pieces":[{"name":"x","digest":"../x"}]}',
+                 f'{{"format":"gw-outfit","version":1,"drive":7,"pieces":[{piece}]}}'):  # fmt: skip
         outfit.write_text(text)
         run("tryon", "--outfit", outfit, *motion, code=65)
     run("tryon", "--outfit", tmp_path / "none.json", *motion, code=66)
